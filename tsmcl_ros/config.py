@@ -1,0 +1,273 @@
+"""
+Configuration: frozen dataclasses whose fields are documented, ranged and validated once.
+
+Nodes declare ROS parameters from them, scripts build argparse options, YAML is read and dumped,
+and errors quote them; no name, default or range is written twice.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from difflib import get_close_matches
+import math
+from pathlib import Path
+import types
+import typing
+from typing import Any, TypeVar
+
+from tsmcl_ros.types import ConfigError
+import yaml
+
+C = TypeVar('C', bound='Config')
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One documented field of a config: the source of ROS parameters, options and YAML."""
+
+    name: str
+    attribute: str
+    type: type
+    default: Any
+    doc: str
+    unit: str = ''
+    low: float | None = None
+    high: float | None = None
+    above: float | None = None
+    choices: tuple[Any, ...] = ()
+    read_only: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """Say in words which values are allowed."""
+        if self.choices:
+            return 'one of ' + ', '.join(map(str, self.choices))
+        unit = f' {self.unit}' if self.unit else ''
+        bounds = [
+            f'{word} {bound:g}{unit}'
+            for word, bound in (('at least', self.low), ('above', self.above),
+                                ('at most', self.high))
+            if bound is not None
+        ]
+        kind = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'a text',
+                tuple: 'a list of texts'}[self.type]
+        return ' '.join([kind, ' and '.join(bounds)]).strip()
+
+    def refuse(self, value: Any) -> ConfigError:
+        """Return the error that names this parameter, the value, and what is allowed."""
+        return ConfigError(f'{self.name}: {value!r} is not allowed, must be {self.allowed}')
+
+    def convert(self, value: Any) -> Any:
+        """
+        Return the value as this parameter's type.
+
+        Only lossless conversions are made: a whole number where a number is wanted, a list
+        where a tuple is.
+
+        Raises
+        ------
+        ConfigError
+            If the value has another type, or lies outside what is allowed.
+        """
+        if self.type is float and type(value) is int:
+            value = float(value)
+        elif self.type is tuple and isinstance(value, (list, tuple)):
+            value = tuple(value)
+        if type(value) is not self.type:
+            raise self.refuse(value)
+        if self.type is tuple and not all(isinstance(item, str) for item in value):
+            raise self.refuse(value)
+        if self.choices and value not in self.choices:
+            raise self.refuse(value)
+        if self.type in (int, float):
+            fits = (
+                (self.low is None or value >= self.low)
+                and (self.above is None or value > self.above)
+                and (self.high is None or value <= self.high)
+                and not math.isnan(value)
+            )
+            if not fits:
+                raise self.refuse(value)
+        return value
+
+    def parse(self, text: str) -> Any:
+        """Return the value that a command line's or a parameter override's text stands for."""
+        if self.type is str:
+            return self.convert(text)
+        if self.type is tuple:
+            return self.convert([item for item in text.split(',') if item])
+        try:
+            value = yaml.safe_load(text)
+            if self.type is float and isinstance(value, str):
+                value = float(value)
+        except (yaml.YAMLError, ValueError):
+            raise self.refuse(text) from None
+        return self.convert(value)
+
+
+def param(default: Any, doc: str, **constraints: Any) -> Any:
+    """
+    Return a dataclass field that carries its documentation and its allowed values.
+
+    Parameters
+    ----------
+    default
+        A float, int, bool, str, or tuple of str; its type is the parameter's.
+    doc
+        One line.
+    **constraints
+        `unit`, `low` and `high` (inclusive), `above` (exclusive), `choices`, `read_only`,
+        and `name` where ROS users know it by one that is no identifier (`initial_pose.x`).
+    """
+    return field(default=default, metadata={'doc': doc, **constraints})
+
+
+class Config:
+    """Base of all configs: a frozen dataclass whose every field is made by `param`."""
+
+    def __post_init__(self) -> None:
+        """Refuse, never clamp, what the fields do not allow."""
+        for parameter in parameters(type(self)):
+            value = parameter.convert(getattr(self, parameter.attribute))
+            object.__setattr__(self, parameter.attribute, value)
+        self.check()
+
+    def check(self) -> None:
+        """Refuse combinations of values; raise ConfigError. Overridden where there are any."""
+
+
+def parameters(cls: type[Config]) -> tuple[Parameter, ...]:
+    """Return the documented fields of a config class, in order."""
+    found = []
+    hints = typing.get_type_hints(cls)
+    for item in fields(cls):  # type: ignore[arg-type]
+        if item.default is MISSING or 'doc' not in item.metadata:
+            raise TypeError(f'{cls.__name__}.{item.name} is not made by param()')
+        kind = hints[item.name]
+        origin = typing.get_origin(kind)
+        kind = origin if isinstance(origin, type) and origin is not types.UnionType else kind
+        named = {'name': item.name, **item.metadata}
+        found.append(Parameter(attribute=item.name, type=kind, default=item.default, **named))
+    return tuple(found)
+
+
+def build(cls: type[C], values: Mapping[str, Any]) -> C:
+    """
+    Return a config from those of the values that it has fields for.
+
+    Use `refuse_unknown` to hold that each value has a place somewhere.
+    """
+    return cls(**{
+        item.attribute: values[item.name] for item in parameters(cls) if item.name in values
+    })
+
+
+def refuse_unknown(values: Iterable[str], classes: Iterable[type[Config]], source: str) -> None:
+    """
+    Hold that every name is a field of one of the classes.
+
+    Raises
+    ------
+    ConfigError
+        Naming the source, the unknown name, and the nearest known ones.
+    """
+    known = sorted({item.name for cls in classes for item in parameters(cls)})
+    for name in values:
+        if name not in known:
+            near = get_close_matches(name, known, 3) or known
+            raise ConfigError(
+                f'{source}: unknown parameter {name!r}, did you mean {" or ".join(near)}?'
+                if len(near) <= 3
+                else f'{source}: unknown parameter {name!r}, known are {", ".join(near)}'
+            )
+
+
+def add_arguments(parser: argparse.ArgumentParser, *classes: type[Config]) -> None:
+    """Give the parser one `--option` a parameter; those not given are absent from the result."""
+    for cls in classes:
+        group = parser.add_argument_group(cls.__name__.removesuffix('Config').lower())
+        for item in parameters(cls):
+            unit = f' [{item.unit}]' if item.unit else ''
+            group.add_argument(
+                f'--{item.name.replace("_", "-")}',
+                dest=item.name,
+                metavar=item.type.__name__.upper(),
+                default=argparse.SUPPRESS,
+                help=f'{item.doc}{unit}; {item.allowed} (default: {item.default})'
+                     .replace('%', '%%'),
+            )
+
+
+def given_arguments(namespace: argparse.Namespace, *classes: type[Config]) -> dict[str, Any]:
+    """
+    Return the parameters that the command line gave, converted.
+
+    Raises
+    ------
+    ConfigError
+        If a value is not allowed.
+    """
+    return {
+        item.name: item.parse(getattr(namespace, item.name))
+        for cls in classes
+        for item in parameters(cls)
+        if hasattr(namespace, item.name)
+    }
+
+
+def load_yaml(path: str | Path, node: str = '') -> dict[str, Any]:
+    """
+    Return the parameters that a ROS parameter file holds for a node.
+
+    The sections `/**` and the node's own name are read, the latter wins; nested keys are joined
+    by dots as ROS does.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or is not a ROS parameter file.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot read the parameter file: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = ' '.join(str(error).split())
+        raise ConfigError(f'{path}: is not a YAML file: {reason}') from None
+    values: dict[str, Any] = {}
+    for section in ('/**', node, f'/{node}', f'/**/{node}'):
+        if not isinstance(document, dict):
+            break
+        content = document.get(section)
+        if isinstance(content, dict) and isinstance(content.get('ros__parameters'), dict):
+            values.update(_flatten(content['ros__parameters']))
+    if not values:
+        raise ConfigError(
+            f'{path}: holds no parameters, expected "/**:" with "ros__parameters:" below it'
+        )
+    return values
+
+
+def dump_yaml(*configs: Config) -> str:
+    """Return a ROS parameter file, commented from the fields' documentation."""
+    lines = ['/**:', '  ros__parameters:']
+    for config in configs:
+        for item in parameters(type(config)):
+            value = getattr(config, item.attribute)
+            text = yaml.safe_dump(list(value) if isinstance(value, tuple) else value,
+                                  default_flow_style=True).splitlines()[0]
+            unit = f' [{item.unit}]' if item.unit else ''
+            lines.append(f'    {item.name}: {text}  # {item.doc}{unit}; {item.allowed}')
+    return '\n'.join(lines) + '\n'
+
+
+def _flatten(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in section.items():
+        if isinstance(value, dict):
+            flat.update(_flatten(value, f'{prefix}{key}.'))
+        else:
+            flat[f'{prefix}{key}'] = value
+    return flat

@@ -1,0 +1,244 @@
+"""
+The values that flow through the package, and the errors it raises.
+
+Everything numeric has a leading vehicle axis V; a single vehicle is V = 1. Positions are metres in
+one local Cartesian map frame, stamps are seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+ANCHOR, VEHICLE = 0, 1
+PADDED = -1
+
+
+class TsmclError(Exception):
+    """Root of all errors that a user of this package can cause and mend."""
+
+
+class ConfigError(TsmclError):
+    """A parameter has a value that is not allowed, or is not known at all."""
+
+
+class MessageError(TsmclError):
+    """A message is malformed, or says something that cannot be true."""
+
+
+class BagError(TsmclError):
+    """A bag is missing, damaged, already there, or holds nothing of use."""
+
+
+class LogError(TsmclError):
+    """A CSV log or a mobility trace has a bad row; the text names file and line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """
+    What V radios heard in one beacon epoch, padded to K rows a vehicle.
+
+    Attributes
+    ----------
+    stamp : float
+        Reception time [s].
+    sender : (V, K) int64
+        Identity of each sender, -1 where padded.
+    kind : (V, K) uint8
+        0 for an anchor, 1 for a vehicle.
+    hops : (V, K) uint8
+        1 if heard directly, 2 if relayed by a neighbour.
+    position : (V, K, D) float32
+        Position that the sender claims [m].
+    covariance : (V, K, D, D) float32
+        Covariance of that position [m^2]; zero for a surveyed anchor.
+    max_range, range, range_std, rssi : (V, K) float32
+        Radio range [m], measured range and its standard deviation [m], received power [dBm];
+        NaN where not measured.
+    """
+
+    stamp: float
+    sender: Array
+    kind: Array
+    hops: Array
+    position: Array
+    covariance: Array
+    max_range: Array
+    range: Array
+    range_std: Array
+    rssi: Array
+
+    @classmethod
+    def empty(cls, vehicles: int, references: int, dimension: int, stamp: float) -> Observation:
+        """Return an observation of V vehicles and K rows in which nobody was heard."""
+        shape = (vehicles, references)
+        unmeasured = np.full(shape, np.nan, np.float32)
+        return cls(
+            stamp=stamp,
+            sender=np.full(shape, PADDED, np.int64),
+            kind=np.zeros(shape, np.uint8),
+            hops=np.ones(shape, np.uint8),
+            position=np.zeros((*shape, dimension), np.float32),
+            covariance=np.zeros((*shape, dimension, dimension), np.float32),
+            max_range=unmeasured,
+            range=unmeasured.copy(),
+            range_std=unmeasured.copy(),
+            rssi=unmeasured.copy(),
+        )
+
+    @classmethod
+    def stack(cls, parts: list[Observation], stamp: float) -> Observation:
+        """Return one observation of all the parts' vehicles, padded to the longest part."""
+        vehicles = sum(part.sender.shape[0] for part in parts)
+        references = max((part.sender.shape[1] for part in parts), default=0)
+        dimension = parts[0].position.shape[2] if parts else 2
+        whole = cls.empty(vehicles, references, dimension, stamp)
+        row = 0
+        for part in parts:
+            count, width = part.sender.shape
+            for name in _ROW_FIELDS:
+                getattr(whole, name)[row:row + count, :width] = getattr(part, name)
+            row += count
+        return whole
+
+    @property
+    def heard(self) -> Array:
+        """(V, K) bool: True where a row holds a sender."""
+        return np.asarray(self.sender != PADDED)
+
+    def project(self, dimension: int) -> Observation:
+        """Return the same observation with positions cut to the first D coordinates."""
+        return replace(
+            self,
+            position=self.position[:, :, :dimension],
+            covariance=self.covariance[:, :, :dimension, :dimension],
+        )
+
+    def vehicle(self, index: int) -> Observation:
+        """Return the observation of one vehicle (V = 1) without its padding."""
+        rows = self.heard[index]
+        return replace(
+            self, **{name: getattr(self, name)[index:index + 1, rows] for name in _ROW_FIELDS}
+        )
+
+
+_ROW_FIELDS = tuple(field.name for field in fields(Observation) if field.name != 'stamp')
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """
+    One odometry pose of one vehicle, in an odometry frame that starts anywhere and drifts.
+
+    Attributes
+    ----------
+    stamp : float
+        [s].
+    position : (3,) float64
+        [m].
+    yaw : float
+        [rad].
+    """
+
+    stamp: float
+    position: Array
+    yaw: float
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """
+    What is known of V vehicles' movement since the last epoch.
+
+    Attributes
+    ----------
+    elapsed : float
+        Time since the last epoch [s].
+    displacement : (V, D) float or None
+        Odometry displacement, in the odometry frame [m]; NaN for a vehicle whose odometry is
+        missing, None if nobody has odometry.
+    turn : (V,) float or None
+        Change of yaw [rad], where there is a displacement.
+    """
+
+    elapsed: float
+    displacement: Array | None = None
+    turn: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """
+    Where V vehicles are, and how well that is known.
+
+    Attributes
+    ----------
+    stamp : float
+        Time of the measurement [s].
+    mean : (V, D) float64
+        [m]; NaN before the first beacon.
+    covariance : (V, D, D) float64
+        [m^2].
+    yaw, yaw_variance : (V,) float64
+        Rotation from the odometry frame to the map [rad, rad^2]; NaN where it is not estimated.
+    ess : (V,) float64
+        Effective number of particles of the weighted cloud, before resampling.
+    particles : int
+        Number of particles, N.
+    log_likelihood : (V,) float64
+        Log of the cloud's average likelihood of the observation; NaN where nothing was heard.
+    heard : (V,) int
+        References heard in this epoch.
+    reinitialized : (V,) bool
+        True where no particle explained the observation and the cloud was drawn anew.
+    """
+
+    stamp: float
+    mean: Array
+    covariance: Array
+    yaw: Array
+    yaw_variance: Array
+    ess: Array
+    particles: int
+    log_likelihood: Array
+    heard: Array
+    reinitialized: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    One vehicle's positions over time.
+
+    Attributes
+    ----------
+    stamp : (T,) float64
+        Strictly increasing [s].
+    position : (T, D) float64
+        [m].
+    yaw : (T,) float64
+        [rad], NaN where unknown.
+    covariance : (T, D, D) float64 or None
+        [m^2]; None for ground truth.
+    """
+
+    stamp: Array
+    position: Array
+    yaw: Array
+    covariance: Array | None = None
+
+
+class Estimator(Protocol):
+    """What every method offers to the localizer; it knows arrays and nothing else."""
+
+    def predict(self, motion: Motion) -> None:
+        """Move the belief by the motion since the last epoch."""
+
+    def update(self, observation: Observation) -> Estimate:
+        """Weigh the belief by what was heard; with nothing heard, only report it."""
