@@ -1,0 +1,189 @@
+"""
+Fixtures for all tests: real recordings, ROS of one's own, and the package's executables.
+
+DDS is never mocked. Each pytest process, and so each xdist worker, has a ROS domain to itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import os
+from pathlib import Path
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PATIENCE = 60.0  # s, for anything a healthy executable does at once, on a machine under load
+
+_claim: socket.socket | None = None
+_ros_home: str | None = None
+
+
+def pytest_configure() -> None:
+    """Give this process a ROS of its own, before anything imports rclpy."""
+    global _ros_home
+    _ros_home = tempfile.mkdtemp(prefix='tsmcl_ros_test_')
+    os.environ.update(
+        ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+        ROS_DOMAIN_ID=str(_free_domain()),
+        ROS_HOME=_ros_home,
+        ROS_LOG_DIR=str(Path(_ros_home, 'log')),
+        PYTHONUNBUFFERED='1',
+    )
+    for name in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER',
+                 'ROS_NAMESPACE', 'RMW_IMPLEMENTATION'):
+        os.environ.pop(name, None)
+
+
+def pytest_unconfigure() -> None:
+    """Remove the logs."""
+    if _ros_home is not None:
+        shutil.rmtree(_ros_home, ignore_errors=True)
+
+
+def _free_domain() -> int:
+    """
+    Claim a ROS domain that no other test process on this host uses.
+
+    The claim is a name in Linux's abstract socket space: the kernel hands it out once, frees it
+    however the process ends, and its scope is the network namespace, as DDS's is. Domains above
+    101 have ports that the kernel gives to anybody; people choose small ones, so search downwards.
+    """
+    global _claim
+    _claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    for domain in range(101, 0, -1):
+        try:
+            _claim.bind(f'\0tsmcl_ros_domain_{domain}')
+        except OSError:
+            continue
+        return domain
+    raise RuntimeError('all 101 ROS domains are claimed by running tests')
+
+
+@pytest.fixture(scope='session')
+def shared_data() -> Path:
+    """Folder of the real recordings; $TSMCL_SHARED_DATA, or ../shared/data beside the project."""
+    path = Path(os.environ.get('TSMCL_SHARED_DATA') or ROOT.parent / 'shared' / 'data')
+    if not path.is_dir():
+        pytest.skip(f'the recordings are not at {path}; TSMCL_SHARED_DATA can say where')
+    return path
+
+
+class Executable:
+    """
+    One of the package's executables, running as a process of its own.
+
+    Attributes
+    ----------
+    process : subprocess.Popen
+        The process; standard input is closed.
+    """
+
+    def __init__(self, module: str, arguments: tuple[str, ...], cwd: Path) -> None:
+        self.module = module
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', f'tsmcl_ros.{module}', *arguments],
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding='utf-8',
+            errors='replace',
+        )
+        self._lines: list[str] = []
+        self._changed = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self._lines.append(line)
+                self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    @property
+    def output(self) -> str:
+        """What it has written so far, standard output and error together."""
+        with self._changed:
+            return ''.join(self._lines)
+
+    def wait_for(self, text: str, timeout: float = PATIENCE) -> str:
+        """Return the first line that holds the text, once it has been written."""
+        deadline = time.monotonic() + timeout
+        with self._changed:
+            while True:
+                for line in self._lines:
+                    if text in line:
+                        return line.rstrip('\n')
+                ended = not self._reader.is_alive()
+                if ended or not self._changed.wait(min(1.0, deadline - time.monotonic())):
+                    if ended or time.monotonic() >= deadline:
+                        reason = 'ended' if ended else f'went on for {timeout:g} s'
+                        pytest.fail(f'{self.module} {reason} without writing {text!r}; it wrote:\n'
+                                    + ''.join(self._lines))
+
+    def wait(self, timeout: float = PATIENCE) -> int:
+        """Return the exit code, once it has ended by itself."""
+        try:
+            code = self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f'{self.module} still runs after {timeout:g} s; it wrote:\n{self.output}')
+        self._reader.join(timeout)
+        return code
+
+    def stop(self, how: signal.Signals = signal.SIGINT, timeout: float = PATIENCE) -> int:
+        """Send it a signal and return its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(how)
+        return self.wait(timeout)
+
+    def kill(self) -> None:
+        """End it without asking, if it still runs."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
+    """
+    Start executables: `start('nodes.localizer', '--ros-args', '-p', 'seed:=1')`.
+
+    They run in the test's temporary folder, and none outlives the test.
+    """
+    started: list[Executable] = []
+
+    def start_one(module: str, *arguments: object, cwd: Path | None = None) -> Executable:
+        executable = Executable(module, tuple(map(str, arguments)), cwd or tmp_path)
+        started.append(executable)
+        return executable
+
+    yield start_one
+    for executable in started:
+        executable.kill()
+
+
+@pytest.fixture
+def run(start: Callable[..., Executable]) -> Callable[..., tuple[int, str]]:
+    """Run a script to its end: `code, output = run('scripts.evaluate', bag)`."""
+
+    def run_one(module: str, *arguments: object, timeout: float = 240.0,
+                cwd: Path | None = None) -> tuple[int, str]:
+        executable = start(module, *arguments, cwd=cwd)
+        return executable.wait(timeout), executable.output
+
+    return run_one
