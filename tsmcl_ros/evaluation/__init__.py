@@ -1,0 +1,1 @@
+"""Recorded bags against ground truth: metrics, plots and reports."""
