@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 
 import pytest
 
@@ -99,6 +98,7 @@ class Executable:
             errors='replace',
         )
         self._lines: list[str] = []
+        self._ended = False
         self._changed = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -110,6 +110,7 @@ class Executable:
                 self._lines.append(line)
                 self._changed.notify_all()
         with self._changed:
+            self._ended = True
             self._changed.notify_all()
 
     @property
@@ -120,18 +121,16 @@ class Executable:
 
     def wait_for(self, text: str, timeout: float = PATIENCE) -> str:
         """Return the first line that holds the text, once it has been written."""
-        deadline = time.monotonic() + timeout
         with self._changed:
-            while True:
-                for line in self._lines:
-                    if text in line:
-                        return line.rstrip('\n')
-                ended = not self._reader.is_alive()
-                if ended or not self._changed.wait(min(1.0, deadline - time.monotonic())):
-                    if ended or time.monotonic() >= deadline:
-                        reason = 'ended' if ended else f'went on for {timeout:g} s'
-                        pytest.fail(f'{self.module} {reason} without writing {text!r}; it wrote:\n'
-                                    + ''.join(self._lines))
+            self._changed.wait_for(lambda: self._ended or self._find(text), timeout)
+            line = self._find(text)
+            reason = 'ended' if self._ended else f'went on for {timeout:g} s'
+        if line is None:
+            pytest.fail(f'{self.module} {reason} without writing {text!r}; it wrote:\n{self.output}')
+        return line.rstrip('\n')
+
+    def _find(self, text: str) -> str | None:
+        return next((line for line in self._lines if text in line), None)
 
     def wait(self, timeout: float = PATIENCE) -> int:
         """Return the exit code, once it has ended by itself."""
