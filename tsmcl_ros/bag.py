@@ -1,0 +1,275 @@
+"""
+Reading and writing of rosbag2 recordings as serialized bytes; the only importer of rosbags.
+
+A bag is named by its folder, as rosbag2 does. Log times are float seconds, see `messages`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+from rosbags import rosbag2
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinitionFormat,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys.store import Typestore
+from tsmcl_ros.types import BagError
+
+STORAGES = ('mcap', 'sqlite3')
+
+_SECOND = 1_000_000_000
+
+
+class Message(NamedTuple):
+    """One recorded message: its topic and type, when it was recorded [s], and its bytes."""
+
+    topic: str
+    type: str
+    stamp: float
+    data: bytes
+
+
+class Reader:
+    """
+    Reads a bag front to back without taking its messages apart; a context manager.
+
+    Attributes
+    ----------
+    topics : dict of str to str
+        Type of each topic, such as 'sensor_msgs/msg/PointCloud2'.
+    counts : dict of str to int
+        Number of messages of each topic.
+    latched : set of str
+        Topics that late joiners get the last message of (transient local).
+    start, duration : float
+        Log time of the first message, and from it to the last [s].
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """
+        Open a bag.
+
+        Raises
+        ------
+        BagError
+            If there is none, or it is empty, damaged, or of an unknown kind.
+        """
+        self.path = Path(path)
+        _refuse_what_is_no_bag(self.path)
+        with _readable(self.path):
+            self._bag = rosbag2.Reader(self.path)
+            self._bag.open()
+        connections = self._bag.connections
+        self.topics = {item.topic: item.msgtype for item in connections}
+        self.counts = dict.fromkeys(self.topics, 0)
+        for item in connections:
+            self.counts[item.topic] += item.msgcount
+        self.latched = {item.topic for item in connections if _is_latched(item)}
+        self.start = self._bag.start_time / _SECOND
+        # The end that rosbags names is a nanosecond after the last message.
+        self.duration = max(self._bag.duration - 1, 0) / _SECOND
+        if not self._bag.message_count:
+            self.close()
+            raise BagError(f'{self.path}: holds no messages')
+
+    @property
+    def undecodable(self) -> dict[str, str]:
+        """Topics with types that neither the bag nor ROS itself defines, and these types."""
+        return {
+            item.topic: item.msgtype
+            for item in self._bag.connections
+            if item.msgdef.format is MessageDefinitionFormat.NONE
+            and item.msgtype not in _typestore(Stores.ROS2_FOXY).fielddefs
+        }
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
+        """
+        Yield the messages of some topics, or of all, in order of log time.
+
+        Raises
+        ------
+        BagError
+            If a topic is not in the bag, or the bag turns out to be damaged on the way.
+        """
+        wanted = set(self.topics if topics is None else topics)
+        for topic in sorted(wanted - set(self.topics)):
+            raise BagError(
+                f'{self.path}: has no topic {topic}, has {", ".join(sorted(self.topics))}'
+            )
+        connections = [item for item in self._bag.connections if item.topic in wanted]
+        if not connections:
+            return
+        with _readable(self.path):
+            for item, nanoseconds, data in self._bag.messages(connections):
+                yield Message(item.topic, item.msgtype, nanoseconds / _SECOND, data)
+
+    def close(self) -> None:
+        """Close the bag; closing it again does nothing."""
+        if self._bag.is_open:
+            self._bag.close()
+
+    def __enter__(self) -> Reader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Writer:
+    """
+    Writes a new bag; a context manager.
+
+    Whatever ends the context, the bag is closed complete with what was written so far.
+    """
+
+    def __init__(self, path: str | Path, storage: str = 'mcap') -> None:
+        """
+        Create a bag and its parent folders.
+
+        Raises
+        ------
+        BagError
+            If the path exists or cannot be made, or the storage is unknown.
+        """
+        self.path = Path(path)
+        if storage not in STORAGES:
+            raise BagError(
+                f'storage {storage!r} is not allowed, must be one of {", ".join(STORAGES)}'
+            )
+        if self.path.exists():
+            raise BagError(f'{self.path}: exists already, bags are never overwritten')
+        self._connections: dict[str, Connection] = {}
+        self._open = False
+        with _writable(self.path):
+            self._bag = rosbag2.Writer(
+                self.path,
+                version=rosbag2.Writer.VERSION_LATEST,
+                storage_plugin=rosbag2.StoragePlugin[storage.upper()],
+            )
+            self._bag.open()
+        self._open = True
+
+    def topic(self, name: str, type: str, latched: bool = False) -> None:  # noqa: A002
+        """
+        Register a topic with its type; a latched one is replayed to late joiners too.
+
+        Raises
+        ------
+        BagError
+            If the topic has another type already, or the type is unknown to ROS 2 Jazzy.
+        """
+        known = self._connections.get(name)
+        if known is not None:
+            if known.msgtype != type:
+                raise BagError(
+                    f'{self.path}: topic {name} has type {known.msgtype} and cannot have {type}'
+                )
+            return
+        store = _typestore(Stores.ROS2_JAZZY)
+        if type not in store.fielddefs:
+            raise BagError(f'{self.path}: topic {name}: type {type} is unknown to ROS 2 Jazzy')
+        with _writable(self.path):
+            self._connections[name] = self._bag.add_connection(
+                name, type, typestore=store, offered_qos_profiles=[_LATCHED if latched else _QOS]
+            )
+
+    def write(self, name: str, stamp: float, data: bytes) -> None:
+        """
+        Write one message of a registered topic under its log time [s].
+
+        Raises
+        ------
+        BagError
+            If the topic is not registered, the stamp is no time, or the disk fails.
+        """
+        if name not in self._connections:
+            raise BagError(f'{self.path}: topic {name} is not registered')
+        if not 0 <= stamp < 2**33:
+            raise BagError(f'{self.path}: topic {name}: log time {stamp!r} s is not allowed')
+        with _writable(self.path):
+            self._bag.write(self._connections[name], round(stamp * _SECOND), data)
+
+    def close(self) -> None:
+        """Complete the bag; closing it again does nothing."""
+        if self._open:
+            self._open = False
+            with _writable(self.path):
+                self._bag.close()
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+_FOREVER = QosTime(9223372036, 854775807)
+_QOS = Qos(
+    QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE,
+    _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False,
+)
+_LATCHED = _QOS._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
+
+
+@cache
+def _typestore(store: Stores) -> Typestore:
+    return get_typestore(store)
+
+
+def _is_latched(connection: Connection) -> bool:
+    extension = connection.ext
+    return isinstance(extension, ConnectionExtRosbag2) and any(
+        profile.durability is QosDurability.TRANSIENT_LOCAL
+        for profile in extension.offered_qos_profiles
+    )
+
+
+def _refuse_what_is_no_bag(path: Path) -> None:
+    if not path.exists():
+        raise BagError(f'{path}: there is no such bag')
+    if not path.is_dir():
+        raise BagError(f'{path}: is a file, a bag is named by its folder {path.parent}')
+    if not any(path.iterdir()):
+        raise BagError(f'{path}: is an empty folder, a bag has a metadata.yaml')
+    if not (path / 'metadata.yaml').is_file():
+        raise BagError(
+            f'{path}: is not a bag, or its recording was cut short: it has no metadata.yaml'
+        )
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file makes a parser trip over into one clear line."""
+    try:
+        yield
+    except BagError:
+        raise
+    except Exception as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise BagError(f'{path}: cannot be read, it is truncated or damaged: {reason}') from error
+
+
+@contextmanager
+def _writable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise BagError(f'{path}: cannot be written: {reason}') from error

@@ -1,0 +1,732 @@
+"""
+Conversion between the package's values and serialized standard messages.
+
+This is the only place that knows field layouts. It works on serialized bytes, which is what
+raw subscriptions deliver, what publishers take as they are, and what bags hold: a node and an
+offline run go through the same code.
+
+Stamps are float seconds. They survive a round trip to the nanosecond below 2^22 s (48 days), as
+simulated and relative times are; at today's epoch a double resolves 0.24 us.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+import math
+
+import numpy as np
+from tsmcl_ros import cdr
+from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Odometry, Trajectory
+
+POINT_CLOUD = 'sensor_msgs/msg/PointCloud2'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
+RANGE = 'sensor_msgs/msg/Range'
+CLOCK = 'rosgraph_msgs/msg/Clock'
+
+UNMEASURED = 1e6
+"""Variance [m^2, rad^2] that stands for 'not measured' in a pose's covariance."""
+
+MAX_COORDINATE = 1e5
+"""Largest coordinate of a beacon [m]: beyond it FLOAT32 resolves no better than a centimetre."""
+
+BEACON = np.dtype(
+    [(name, '<f4') for name in ('x', 'y', 'z')]
+    + [('id', '<u4'), ('kind', 'u1'), ('hops', 'u1')]
+    + [(name, '<f4') for name in ('max_range', 'range', 'range_std', 'rssi')]
+    + [(f'cov_{axes}', '<f4') for axes in ('xx', 'xy', 'xz', 'yy', 'yz', 'zz')],
+    align=True,
+)
+"""One beacon as a row of a PointCloud2; two bytes of padding keep the floats aligned."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """
+    One pose with its covariance.
+
+    Attributes
+    ----------
+    stamp : float
+        [s].
+    frame_id : str
+        Frame that the pose is given in.
+    position : (3,) float64
+        [m].
+    yaw : float
+        [rad]; NaN if its variance says that it was not measured.
+    covariance : (6, 6) float64
+        Of x, y, z and the rotations about them [m^2, m rad, rad^2].
+    """
+
+    stamp: float
+    frame_id: str
+    position: Array
+    yaw: float
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class RangeReading:
+    """
+    One measured distance, as common UWB drivers publish it.
+
+    Attributes
+    ----------
+    stamp : float
+        [s].
+    frame_id : str
+        Names the anchor.
+    range : float
+        [m]; NaN where the message says that nothing was measured.
+    min_range, max_range : float
+        Limits of the radio [m]; max_range is NaN if the driver left both at zero.
+    variance : float
+        [m^2], NaN where unknown.
+    """
+
+    stamp: float
+    frame_id: str
+    range: float
+    min_range: float
+    max_range: float
+    variance: float
+
+
+def decode_beacons(data: bytes) -> tuple[Observation, str]:
+    """
+    Return what one vehicle heard (V = 1, D = 3), and the frame of the positions.
+
+    Fields are read by name and offset, in any order and with any padding; beyond x, y, z and id
+    they are optional. An absent or NaN covariance is zero, as of a surveyed anchor.
+
+    Raises
+    ------
+    MessageError
+        If the bytes are not a beacon scan, or say what cannot be true: a position that is not
+        finite or beyond 100 km, a negative or infinite measurement, an unknown kind or number of
+        hops, a covariance that is none, or two anchors that claim one id.
+    """
+    reader = cdr.Reader(data)
+    stamp, frame_id = _read_header(reader)
+    height, width = reader.values('II')
+    layout = _read_layout(reader)
+    _, size = reader.values('II')
+    start = reader.skip(size)
+    reader.skip(1)
+    reader.finish()
+    count = height * width
+    if count * layout.itemsize != size:
+        raise MessageError(
+            f'data has {size} bytes, must be height {height} x width {width} x point_step '
+            f'{layout.itemsize} = {count * layout.itemsize}'
+        )
+    rows = _unify(np.frombuffer(data, layout, count, start)).reshape(1, count)
+    _check_rows(rows[0])
+    max_range, measured, range_std, rssi = np.moveaxis(rows['measured'], -1, 0)
+    return Observation(
+        stamp=stamp,
+        sender=rows['id'].astype(np.int64),
+        kind=rows['kind'],
+        hops=rows['hops'],
+        position=rows['position'],
+        covariance=_full_covariance(rows['covariance']),
+        max_range=max_range,
+        range=measured,
+        range_std=range_std,
+        rssi=rssi,
+    ), frame_id
+
+
+def encode_beacons(observation: Observation, frame_id: str) -> list[bytes]:
+    """Return one beacon scan a vehicle; a missing third dimension becomes zero."""
+    vehicles, references, dimension = observation.position.shape
+    rows = np.zeros((vehicles, references), BEACON)
+    table = rows.view(_ROW)
+    table['position'][..., :dimension] = observation.position
+    rows['id'] = observation.sender
+    for name in ('kind', 'hops', 'max_range', 'range', 'range_std', 'rssi'):
+        rows[name] = getattr(observation, name)
+    for row, column, name in _UPPER_TRIANGLE:
+        if column < dimension:
+            rows[name] = observation.covariance[..., row, column]
+    return [
+        _encode_cloud(observation.stamp, frame_id, scan[heard])
+        for scan, heard in zip(rows, observation.heard, strict=True)
+    ]
+
+
+def decode_odometry(data: bytes) -> Odometry:
+    """
+    Return one odometry pose.
+
+    Raises
+    ------
+    MessageError
+        If the bytes are not odometry, or the pose is not finite.
+    """
+    reader = cdr.Reader(data)
+    stamp, _ = _read_header(reader)
+    reader.string()
+    position, yaw = _read_pose(reader)
+    reader.values('36d')
+    reader.values('42d')
+    reader.finish()
+    return Odometry(stamp, position, yaw)
+
+
+def encode_odometry(
+    odometry: Odometry, frame_id: str, child_frame_id: str, velocity: Sequence[float] = (),
+) -> bytes:
+    """Return an odometry message; velocity is in the child frame, up to three axes [m/s]."""
+    writer = cdr.Writer()
+    _write_header(writer, odometry.stamp, frame_id)
+    writer.string(child_frame_id)
+    writer.values('7d', *_checked(odometry.position), *_quaternion(odometry.yaw))
+    writer.values('36d', *_ZEROS)
+    writer.values('6d', *velocity, *_ZEROS[:6 - len(velocity)])
+    writer.values('36d', *_ZEROS)
+    return writer.finish()
+
+
+def decode_pose(data: bytes) -> Pose:
+    """
+    Return a pose with covariance.
+
+    Raises
+    ------
+    MessageError
+        If the bytes are not such a pose, or a number is not finite, or the covariance none.
+    """
+    reader = cdr.Reader(data)
+    stamp, frame_id = _read_header(reader)
+    position, yaw = _read_pose(reader)
+    covariance = np.array(reader.values('36d')).reshape(6, 6)
+    reader.finish()
+    if not np.isfinite(covariance).all() or not _is_covariance(covariance):
+        raise MessageError(
+            'pose.covariance is not allowed, must be finite, symmetric and positive semidefinite'
+        )
+    return Pose(
+        stamp, frame_id, position, math.nan if covariance[5, 5] >= UNMEASURED else yaw, covariance
+    )
+
+
+def encode_pose(
+    stamp: float, frame_id: str, mean: Array, covariance: Array, yaw: float, yaw_variance: float,
+) -> bytes:
+    """
+    Return a pose with covariance; what was not measured gets a large variance, not zero.
+
+    Parameters
+    ----------
+    stamp
+        [s].
+    frame_id
+        Frame of the pose.
+    mean : (D,) float
+        Position [m]; a missing third dimension is not measured.
+    covariance : (D, D) float
+        [m^2].
+    yaw, yaw_variance
+        [rad, rad^2]; NaN if not measured.
+    """
+    dimension = len(mean)
+    full = np.diag([UNMEASURED] * 6)
+    full[:dimension, :dimension] = covariance
+    if not math.isnan(yaw):
+        full[5, 5] = yaw_variance
+    writer = cdr.Writer()
+    _write_header(writer, stamp, frame_id)
+    position = [*_checked(mean), *_ZEROS[:3 - dimension]]
+    writer.values('7d', *position, *_quaternion(0.0 if math.isnan(yaw) else yaw))
+    writer.values('36d', *full.ravel().tolist())
+    return writer.finish()
+
+
+def decode_poses(messages: Sequence[bytes]) -> Trajectory:
+    """
+    Return the trajectory of many poses with covariance at once.
+
+    A message stamped as the one before it adds nothing and is left out.
+
+    Raises
+    ------
+    MessageError
+        Naming the first message that is malformed, in another frame, or goes back in time.
+    """
+    return _decode_trajectory(messages, strings=1, tail=36, covariance=True)
+
+
+def decode_odometries(messages: Sequence[bytes]) -> Trajectory:
+    """
+    Return the trajectory of many odometry messages at once, as `decode_poses` does.
+
+    Odometry and ground truth carry no covariance that is worth having: it is None.
+    """
+    return _decode_trajectory(messages, strings=2, tail=78, covariance=False)
+
+
+def decode_range(data: bytes) -> RangeReading:
+    """
+    Return one measured distance.
+
+    The variance is absent before ROS 2 Jazzy. A reading of NaN or infinity, or outside the
+    radio's limits, is no measurement (REP 117, and the message's own definition).
+
+    Raises
+    ------
+    MessageError
+        If the bytes are not such a reading, or the distance is negative.
+    """
+    reader = cdr.Reader(data)
+    stamp, frame_id = _read_header(reader)
+    reader.skip(1)
+    _, low, high, measured = reader.values('4f')
+    variance = reader.values('f')[0] if len(data) - reader.position >= 4 else 0.0
+    reader.finish()
+    limited = high > low
+    for name, value in (('range', measured), ('variance', variance)):
+        if -math.inf < value < 0:
+            raise MessageError(f'{name} {value:g} is not allowed, must be at least 0')
+    if not math.isfinite(measured) or (limited and not low <= measured <= high):
+        measured = math.nan
+    return RangeReading(
+        stamp, frame_id, measured, low, high if limited else math.nan,
+        variance if variance > 0 else math.nan,
+    )
+
+
+def encode_range(reading: RangeReading) -> bytes:
+    """Return a reading in Jazzy's layout."""
+    writer = cdr.Writer()
+    _write_header(writer, reading.stamp, reading.frame_id)
+    writer.values('B', 0)
+    high, variance = (0.0 if math.isnan(x) else x for x in (reading.max_range, reading.variance))
+    writer.values('5f', 0.0, reading.min_range, high, reading.range, variance)
+    return writer.finish()
+
+
+def encode_pose_array(stamp: float, frame_id: str, particles: Array) -> bytes:
+    """Return particles (N, D) [m] as poses without rotation."""
+    count, dimension = particles.shape
+    poses = np.zeros((count, 7))
+    poses[:, :dimension] = particles
+    poses[:, 6] = 1.0
+    writer = cdr.Writer()
+    _write_header(writer, stamp, frame_id)
+    writer.values('I', count)
+    if count:
+        writer.align(8)
+        writer.raw(poses.astype('<f8', copy=False).tobytes())
+    return writer.finish()
+
+
+def encode_clock(stamp: float) -> bytes:
+    """Return a clock message."""
+    writer = cdr.Writer()
+    writer.values('iI', *_split(stamp))
+    return writer.finish()
+
+
+def decode_clock(data: bytes) -> float:
+    """Return the time that a clock message shows [s]; raise MessageError if it shows none."""
+    reader = cdr.Reader(data)
+    stamp = _join(*reader.values('iI'))
+    reader.finish()
+    return stamp
+
+
+# --- stamps and headers --------------------------------------------------------------------
+
+_SECOND = 1_000_000_000
+_MAX_STAMP = 2**31
+
+
+def _split(stamp: float) -> tuple[int, int]:
+    """Return the seconds and nanoseconds of a stamp."""
+    if not 0 <= stamp < _MAX_STAMP:
+        raise MessageError(
+            f'stamp {stamp!r} is not allowed, must be at least 0 and below {_MAX_STAMP} s'
+        )
+    whole = math.floor(stamp)
+    nanoseconds = round((stamp - whole) * _SECOND)
+    return divmod(whole * _SECOND + nanoseconds, _SECOND)
+
+
+def _join(seconds: int, nanoseconds: int) -> float:
+    """Return the double nearest to a stamp."""
+    if seconds < 0 or nanoseconds >= _SECOND:
+        raise MessageError(
+            f'stamp of {seconds} s and {nanoseconds} ns is not allowed, must be at least 0 s and '
+            f'from 0 to {_SECOND - 1} ns'
+        )
+    return (seconds * _SECOND + nanoseconds) / _SECOND
+
+
+def _join_many(seconds: Array, nanoseconds: Array) -> Array:
+    """Return what `_join` returns, bit for bit, of arrays."""
+    wrong = (seconds < 0) | (nanoseconds >= _SECOND)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        _join(int(seconds[first]), int(nanoseconds[first]))
+    total = seconds * np.int64(_SECOND) + nanoseconds
+    # Above 2^53 ns the total is no double any more; there the sum is the nearest one.
+    return np.asarray(np.where(total < 2**53, total / _SECOND, seconds + nanoseconds / _SECOND))
+
+
+def _read_header(reader: cdr.Reader) -> tuple[float, str]:
+    stamp = _join(*reader.values('iI'))
+    return stamp, reader.string()
+
+
+def _write_header(writer: cdr.Writer, stamp: float, frame_id: str) -> None:
+    writer.values('iI', *_split(stamp))
+    writer.string(frame_id)
+
+
+# --- poses -----------------------------------------------------------------------------------
+
+_ZEROS = (0.0,) * 36
+
+
+def _quaternion(yaw: float) -> tuple[float, float, float, float]:
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def _yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
+    """Return the heading of quaternions of any length but zero."""
+    return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def _checked(position: Array) -> list[float]:
+    values: list[float] = position.tolist()
+    if not all(map(math.isfinite, values)):
+        raise MessageError(f'position {values} is not allowed, must be finite')
+    return values
+
+
+def _read_pose(reader: cdr.Reader) -> tuple[Array, float]:
+    values = reader.values('7d')
+    _check_pose(values)
+    return np.array(values[:3]), float(_yaw(*values[3:]))
+
+
+def _check_pose(values: Sequence[float]) -> None:
+    x, y, z, *quaternion = values
+    if not all(map(math.isfinite, (x, y, z))):
+        raise MessageError(f'position x {x:g}, y {y:g}, z {z:g} is not allowed, must be finite')
+    if not 0 < sum(q * q for q in quaternion) < math.inf:
+        shown = ' '.join(f'{q:g}' for q in quaternion)
+        raise MessageError(f'orientation {shown} is not allowed, must be a quaternion of length 1')
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Tell whether symmetric matrices (..., D, D) are positive semidefinite, but for rounding."""
+    symmetric = np.abs(matrix - np.swapaxes(matrix, -1, -2)).max(initial=0.0)
+    scale = np.abs(matrix).max(initial=0.0)
+    if symmetric > 1e-5 * scale:
+        return False
+    lowest = np.linalg.eigvalsh(matrix)[..., 0]
+    largest = np.abs(matrix).max(axis=(-2, -1))
+    return bool((lowest >= -1e-5 * largest).all())
+
+
+def _decode_trajectory(
+    messages: Sequence[bytes], strings: int, tail: int, covariance: bool,
+) -> Trajectory:
+    """
+    Return the trajectory of messages made of a header, texts, a pose, and a tail of doubles.
+
+    `strings` counts the texts (frame_id among them), `tail` the doubles after the pose.
+    """
+    blocks = [
+        _decode_block(block, strings, tail) for block in _equal_lengths(messages)
+    ]
+    frames = [frame for frame, _, _ in blocks]
+    for frame in frames:
+        if frame != frames[0]:
+            raise MessageError(f'frame_id changes from {frames[0]!r} to {frame!r} on the way')
+    stamp = np.concatenate([stamps for _, stamps, _ in blocks] or [np.empty(0)])
+    numbers = np.concatenate([values for _, _, values in blocks] or [np.empty((0, 7 + tail))])
+    back = np.flatnonzero(np.diff(stamp) < 0)
+    if back.size:
+        at = int(back[0])
+        raise MessageError(
+            f'message {at + 1}: stamp {stamp[at + 1]:.9f} s goes back, must not be before '
+            f'{stamp[at]:.9f} s'
+        )
+    new = np.diff(stamp, prepend=-1.0) > 0
+    stamp, numbers = stamp[new], numbers[new]
+    yaw = _yaw(*numbers[:, 3:7].T)
+    if not covariance:
+        return Trajectory(stamp, numbers[:, :3].copy(), yaw)
+    matrix = numbers[:, 7:43].reshape(-1, 6, 6)
+    yaw = np.where(matrix[:, 5, 5] >= UNMEASURED, np.nan, yaw)
+    return Trajectory(stamp, numbers[:, :3].copy(), yaw, matrix[:, :3, :3].copy())
+
+
+def _equal_lengths(messages: Sequence[bytes]) -> Iterator[list[bytes]]:
+    for _, block in groupby(messages, key=len):
+        yield list(block)
+
+
+def _decode_block(
+    messages: list[bytes], strings: int, tail: int,
+) -> tuple[str, Array, Array]:
+    """Return the frame, stamps (T,) and doubles (T, 7 + tail) of messages of one length."""
+    reader = cdr.Reader(messages[0])
+    reader.values('iI')
+    frame = reader.string()
+    for _ in range(strings - 1):
+        reader.string()
+    first = reader.align(8)
+    reader.values(f'{7 + tail}d')
+    reader.finish()
+    raw = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
+    texts = [at for at in range(12, first) if at not in reader.padding]
+    if (raw[:, [0, 1, *texts]] != raw[0, [0, 1, *texts]]).any():
+        # Texts that differ within equal lengths are rare: then each message is a block.
+        parts = [_decode_block([message], strings, tail) for message in messages]
+        for other, _, _ in parts:
+            if other != frame:
+                raise MessageError(f'frame_id changes from {frame!r} to {other!r} on the way')
+        return (
+            frame, np.concatenate([part[1] for part in parts]),
+            np.concatenate([part[2] for part in parts]),
+        )
+    seconds, nanoseconds = raw[:, 4:8].copy().view('<i4'), raw[:, 8:12].copy().view('<u4')
+    numbers = raw[:, first:first + 8 * (7 + tail)].copy().view('<f8')
+    return frame, _join_many(seconds[:, 0].astype(np.int64), nanoseconds[:, 0]), numbers
+
+
+# --- beacon rows -----------------------------------------------------------------------------
+
+_UPPER_TRIANGLE = (
+    (0, 0, 'cov_xx'), (0, 1, 'cov_xy'), (0, 2, 'cov_xz'),
+    (1, 1, 'cov_yy'), (1, 2, 'cov_yz'), (2, 2, 'cov_zz'),
+)
+_FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_OFFSET = {name: BEACON.fields[name][1] for name in BEACON.names}  # type: ignore[index,union-attr]
+# The same row, with neighbouring fields gathered so that one call reaches them all.
+_ROW = np.dtype({
+    'names': ['position', 'id', 'kind', 'hops', 'measured', 'covariance'],
+    'formats': ['(3,)<f4', '<u4', 'u1', 'u1', '(4,)<f4', '(6,)<f4'],
+    'offsets': [_OFFSET[name] for name in ('x', 'id', 'kind', 'hops', 'max_range', 'cov_xx')],
+    'itemsize': BEACON.itemsize,
+})
+# Values of sensor_msgs/PointField.
+_UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
+_FORMATS = {_UINT8: 'u1', _UINT32: '<u4', _FLOAT32: '<f4', _FLOAT64: '<f8'}
+_DATATYPES = ('INT8', 'UINT8', 'INT16', 'UINT16', 'INT32', 'UINT32', 'FLOAT32', 'FLOAT64')
+_REQUIRED = ('x', 'y', 'z', 'id')
+_ALLOWED = {
+    **dict.fromkeys(_OFFSET, (_FLOAT32,)),
+    **dict.fromkeys(('x', 'y', 'z'), (_FLOAT32, _FLOAT64)),
+    'id': (_UINT32,), 'kind': (_UINT8,), 'hops': (_UINT8,),
+}
+_MAX_POINT_STEP = 2**16
+
+# What a row says in fields that its message does not have.
+_UNSAID = np.zeros((), BEACON)
+_UNSAID['hops'] = 1
+_UNSAID.view(_ROW)['measured'] = np.nan
+
+# Bounds of max_range, range, range_std, rssi and the covariance terms: NaN passes, infinity not.
+_MEASURED_LOW = np.array([np.finfo('f4').tiny, 0, 0, np.finfo('f4').min], np.float32)
+_MEASURED_HIGH = np.full(4, np.finfo('f4').max, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _KnownLayout:
+    """The bytes of a cloud from its fields to point_step, and the rows that they describe."""
+
+    size: int
+    mask: int
+    masked: int
+    rows: np.dtype[np.void]
+
+
+_known_layouts: list[_KnownLayout] = []
+_MAX_LAYOUTS = 16
+
+
+def _read_layout(reader: cdr.Reader) -> np.dtype[np.void]:
+    """
+    Return the dtype of a cloud's rows: BEACON itself, or the fields of it that are there.
+
+    A publisher sends the same layout with every message, at any position as all in it is aligned
+    to four bytes: it is parsed once. Bytes of padding are masked, as Fast DDS leaves them unset.
+    """
+    start = reader.position
+    for known in _known_layouts:
+        block = reader.data[start:start + known.size]
+        if int.from_bytes(block, 'little') & known.mask == known.masked:
+            reader.skip(known.size)
+            return known.rows
+    rows = _parse_layout(reader)
+    block = reader.data[start:reader.position]
+    mask = bytearray(b'\xff' * len(block))
+    for position in reader.padding:
+        if position >= start:
+            mask[position - start] = 0
+    if len(_known_layouts) >= _MAX_LAYOUTS:
+        _known_layouts.clear()
+    whole = int.from_bytes(mask, 'little')
+    _known_layouts.append(
+        _KnownLayout(len(block), whole, int.from_bytes(block, 'little') & whole, rows)
+    )
+    return rows
+
+
+def _parse_layout(reader: cdr.Reader) -> np.dtype[np.void]:
+    count, = reader.values('I')
+    found: dict[str, tuple[int, int]] = {}
+    for _ in range(count):
+        name = reader.string()
+        offset, = reader.values('I')
+        datatype, = reader.values('B')
+        elements, = reader.values('I')
+        if name not in _ALLOWED:
+            continue
+        if name in found:
+            raise MessageError(f'field {name} comes twice, must come once')
+        if datatype not in _ALLOWED[name]:
+            raise MessageError(
+                f'field {name}: datatype {_datatype(datatype)} is not allowed, must be '
+                f'{" or ".join(map(_datatype, _ALLOWED[name]))}'
+            )
+        if elements != 1:
+            raise MessageError(f'field {name}: count {elements} is not allowed, must be 1')
+        found[name] = offset, datatype
+    big_endian, = reader.values('B')
+    step, = reader.values('I')
+    missing = [name for name in _REQUIRED if name not in found]
+    if missing:
+        raise MessageError(
+            f'fields {", ".join(missing)} are missing, must have at least {", ".join(_REQUIRED)}'
+        )
+    if big_endian:
+        raise MessageError('is_bigendian true is not supported, must be false')
+    if step > _MAX_POINT_STEP:
+        raise MessageError(f'point_step {step} is not allowed, must be at most {_MAX_POINT_STEP}')
+    for name, (offset, datatype) in found.items():
+        end = offset + np.dtype(_FORMATS[datatype]).itemsize
+        if end > step:
+            raise MessageError(
+                f'field {name}: offset {offset} is not allowed, ends at byte {end} of a row whose '
+                f'point_step is {step}'
+            )
+    layout = np.dtype({
+        'names': list(found),
+        'formats': [_FORMATS[datatype] for _, datatype in found.values()],
+        'offsets': [offset for offset, _ in found.values()],
+        'itemsize': step,
+    })
+    return BEACON if layout == BEACON else layout
+
+
+def _datatype(value: int) -> str:
+    return _DATATYPES[value - 1] if 1 <= value <= len(_DATATYPES) else str(value)
+
+
+def _unify(rows: Array) -> Array:
+    """Return rows of any layout as rows of _ROW: a view if they are so already."""
+    if rows.dtype is BEACON:
+        return rows.view(_ROW)
+    table = np.full(len(rows), _UNSAID)
+    # A FLOAT64 beyond FLOAT32 becomes infinite, which is refused below.
+    with np.errstate(over='ignore'):
+        for name in rows.dtype.names or ():
+            table[name] = rows[name]
+    return table.view(_ROW)
+
+
+def _check_rows(rows: Array) -> None:
+    """Refuse rows (K,) that cannot be true."""
+    position, measured = rows['position'], rows['measured']
+    far = ~(np.abs(position) <= MAX_COORDINATE)
+    if far.any():
+        row, axis = np.argwhere(far)[0]
+        value = position[row, axis]
+        hint = ': use a local origin' if np.isfinite(value) else ''
+        raise MessageError(
+            f'{"xyz"[axis]} {value:g} of id {rows["id"][row]} is not allowed, must be finite and '
+            f'within {MAX_COORDINATE / 1000:g} km of the origin{hint}'
+        )
+    wrong = (measured < _MEASURED_LOW) | (measured > _MEASURED_HIGH)
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        name = ('max_range', 'range', 'range_std', 'rssi')[column]
+        allowed = ('above 0', 'at least 0', 'at least 0', 'finite')[column]
+        raise MessageError(
+            f'{name} {measured[row, column]:g} of id {rows["id"][row]} is not allowed, must be '
+            f'{allowed}, or NaN where not measured'
+        )
+    # Bytes that are left when the allowed ones are deleted.
+    for field, known, meaning in (
+        ('kind', b'\0\1', '0 (anchor) or 1 (vehicle)'),
+        ('hops', b'\1\2', '1 (heard directly) or 2 (relayed by a neighbour)'),
+    ):
+        left = rows[field].tobytes().translate(None, known)
+        if left:
+            raise MessageError(f'{field} {left[0]} is not allowed, must be {meaning}')
+    ids = rows['id'].tolist()
+    if len(set(ids)) < len(ids):
+        _check_claims(rows)
+
+
+def _check_claims(rows: Array) -> None:
+    """Refuse two anchors that claim one id: the same id with two positions."""
+    claims: dict[int, list[float]] = {}
+    for row in rows[rows['kind'] == ANCHOR]:
+        sender, position = int(row['id']), row['position'].tolist()
+        if claims.setdefault(sender, position) != position:
+            raise MessageError(
+                f'two anchors claim id {sender}, at {claims[sender]} and at {position}: '
+                f'an id must have one position'
+            )
+
+
+def _full_covariance(terms: Array) -> Array:
+    """Return (..., 3, 3) covariances of (..., 6) upper triangles; absent ones are zero."""
+    if not terms.any():
+        return np.zeros((*terms.shape[:-1], 3, 3), np.float32)
+    full = np.where(np.isnan(terms), np.float32(0), terms)[..., _FULL]
+    if not np.isfinite(full).all() or not _is_covariance(full.astype(np.float64)):
+        raise MessageError(
+            'cov_xx to cov_zz are not allowed, must be finite and positive semidefinite'
+        )
+    return full
+
+
+def _encode_layout() -> bytes:
+    """Return the bytes of our own clouds from the fields to point_step."""
+    writer = cdr.Writer()
+    writer.values('I', len(_OFFSET))
+    for name, offset in _OFFSET.items():
+        writer.string(name)
+        writer.values('I', offset)
+        writer.values('B', _ALLOWED[name][0])
+        writer.values('I', 1)
+    writer.values('B', False)
+    writer.values('I', BEACON.itemsize)
+    return writer.finish()[len(cdr.HEADER):]
+
+
+_BEACON_LAYOUT = _encode_layout()
+
+
+def _encode_cloud(stamp: float, frame_id: str, rows: Array) -> bytes:
+    writer = cdr.Writer()
+    _write_header(writer, stamp, frame_id)
+    writer.values('II', 1, len(rows))
+    writer.raw(_BEACON_LAYOUT)
+    data = rows.tobytes()
+    writer.values('II', len(data), len(data))
+    writer.raw(data)
+    writer.values('?', not np.isnan(rows.view(_ROW)['measured']).any())
+    return writer.finish()
