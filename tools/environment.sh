@@ -49,5 +49,5 @@ fi
 
 echo "Installing into $folder: $("$folder/bin/python" --version), extras $extras; this happens once."
 # What is imported gets compiled then; compiling all of it now would take longer than the download.
-"$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile "$@" \
+"$folder/bin/python" -m pip install --quiet --quiet --disable-pip-version-check --no-compile "$@" \
     --editable ".[$extras]"
