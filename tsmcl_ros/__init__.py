@@ -1,0 +1,1 @@
+"""Localization of vehicles from radio beacons, on ROS 2."""
