@@ -1,0 +1,49 @@
+"""A ROS context for each test, and a node of the test's own to talk to others with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from tsmcl_ros.nodes import runtime
+
+PATIENCE = 30.0  # s, for anything that healthy nodes do at once, on a machine under load
+
+
+class Probe(runtime.Node):
+    """A test's own node."""
+
+    default_name = 'probe'
+
+    def collect(
+        self, topic: str, kind: str, qos: runtime.QoSProfile = runtime.SENSOR_DATA,
+    ) -> list[bytes]:
+        """Return a list that fills with a topic's messages."""
+        received: list[bytes] = []
+        self.listen(topic, kind, received.append, qos)
+        return received
+
+    def expect(self, condition: Callable[[], bool], what: str) -> None:
+        """Handle messages until the condition holds; fail if it never does."""
+        if not self.spin(condition, PATIENCE):
+            pytest.fail(f'waited {PATIENCE:g} s in vain for {what}')
+
+
+@pytest.fixture
+def ros() -> Iterator[Callable[..., None]]:
+    """Start ROS with some arguments, once a test."""
+    yield lambda *arguments: rclpy.init(
+        args=['test', '--ros-args', *arguments], signal_handler_options=SignalHandlerOptions.NO,
+    )
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def probe(ros: Callable[..., None]) -> Iterator[Probe]:
+    """Return a node of the test's own, on the wall's time."""
+    ros()
+    node = Probe()
+    yield node
+    node.close()

@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import os
+import signal
+from typing import Any
+
+import pytest
+from tsmcl_ros import messages
+from tsmcl_ros.config import Config, param
+from tsmcl_ros.nodes.runtime import main, message_class, Node, Rejections, RELIABLE, SENSOR_DATA
+from tsmcl_ros.types import ConfigError, MessageError
+
+Ros = Callable[..., None]
+
+
+class Watch(Node):
+    """Tells each half second of /clock."""
+
+    default_name = 'watch'
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.struck: list[float] = []
+        self.every(0.5, self.struck.append)
+
+
+def test_serialized_messages_arrive_as_they_were_sent(probe: Any) -> None:
+    received = probe.collect('talk', messages.POSE_ARRAY)
+    talk = probe.talk('talk', messages.POSE_ARRAY, SENSOR_DATA)
+    probe.expect(lambda: talk.get_subscription_count() > 0, 'the subscription')
+    data = messages.encode_clock(1.0) + b'\1\0\0\0\0\0\0\0\0\0\0\0'
+    talk.publish(data)
+    probe.expect(lambda: bool(received), 'the message')
+    assert received == [data]
+
+
+def test_a_rejected_message_is_reported_and_the_next_one_is_heeded(probe: Any) -> None:
+    heeded: list[bytes] = []
+
+    def heed(data: bytes) -> None:
+        if data.endswith(b'bad '):
+            raise MessageError('is bad')
+        heeded.append(data)
+
+    reports: list[str] = []
+    probe._rejections = Rejections(reports.append)
+    probe.listen('talk', messages.CLOCK, heed, RELIABLE)
+    talk = probe.talk('talk', messages.CLOCK, RELIABLE)
+    probe.expect(lambda: talk.get_subscription_count() > 0, 'the subscription')
+    for data in (b'\0\1\0\0bad bad ', b'\0\1\0\0goodgood'):
+        talk.publish(data)
+    probe.expect(lambda: bool(heeded), 'the good message')
+    assert heeded == [b'\0\1\0\0goodgood']
+    assert reports == ['/talk: message rejected: is bad']
+
+
+def test_rejections_are_reported_once_in_five_seconds_a_topic_with_their_number() -> None:
+    reports: list[str] = []
+    time = [0.0]
+    rejections = Rejections(reports.append, lambda: time[0])
+    for topic in ('/a', '/a', '/b', '/a'):
+        rejections.add(topic, MessageError('odd'))
+    assert reports == ['/a: message rejected: odd', '/b: message rejected: odd']
+    time[0] = 4.9
+    rejections.report()
+    assert len(reports) == 2
+    time[0] = 5.0
+    rejections.report()
+    assert reports[2:] == ['/a: message rejected: odd (2 messages rejected since the last report)']
+    rejections.report(at_once=True)
+    assert len(reports) == 3
+
+
+def test_with_sim_time_each_multiple_of_a_period_is_met_once_with_its_exact_stamp(
+    ros: Ros,
+) -> None:
+    ros('-p', 'use_sim_time:=true')
+    watch = Watch()
+    clock = watch.talk('/clock', messages.CLOCK, RELIABLE)
+    watch.spin(lambda: clock.get_subscription_count() > 1, 30)
+    # Begun between two multiples, one shown twice, one jumped over, and time that goes back.
+    for stamp in (0.2, 0.5, 0.5, 0.9, 1.0, 2.1, 0.5):
+        clock.publish(messages.encode_clock(stamp))
+        assert watch.spin(lambda stamp=stamp: watch.now == stamp, 30)
+    assert watch.struck == [0.5, 1.0, 2.0, 0.5]
+    watch.close()
+
+
+def test_without_sim_time_multiples_of_a_period_are_met_by_the_wall_clock(ros: Ros) -> None:
+    ros()
+    watch = Watch()
+    assert watch.spin(lambda: len(watch.struck) == 2, 30)
+    assert [stamp % 0.5 for stamp in watch.struck] == [0.0, 0.0]
+    assert watch.struck[1] - watch.struck[0] == 0.5
+    assert abs(watch.now - watch.struck[1]) < 0.5
+    watch.close()
+
+
+def test_spinning_ends_after_its_timeout_and_says_that_the_condition_never_held(
+    probe: Any,
+) -> None:
+    assert probe.spin(lambda: False, 0.01) is False
+    assert probe.spin(lambda: True, 0.0) is True
+
+
+class Signalled(Node):
+    """Gets a signal as soon as it runs."""
+
+    default_name = 'signalled'
+    number = signal.SIGINT
+    closed = False
+
+    def run(self) -> None:
+        os.kill(os.getpid(), self.number)
+        self.spin()
+
+    def close(self) -> None:
+        type(self).closed = True
+        super().close()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_with_exit_code_0_after_it_was_closed(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(Signalled, 'number', number)
+    monkeypatch.setattr(Signalled, 'closed', False)
+    assert main(Signalled, ['signalled']) == 0
+    assert Signalled.closed
+    assert capfd.readouterr() == ('', '')
+
+
+class Broken(Node):
+    """Finds that what it was told cannot be."""
+
+    default_name = 'broken'
+
+    def run(self) -> None:
+        raise ConfigError('output: is missing')
+
+
+def test_an_error_that_the_user_can_mend_is_one_line_and_exit_code_1(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert main(Broken, ['broken']) == 1
+    assert capfd.readouterr() == ('', 'broken: output: is missing\n')
+
+
+def test_a_parameter_file_that_is_missing_is_exit_code_1(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert main(Broken, ['broken', '--ros-args', '--params-file', 'missing.yaml']) == 1
+    assert "broken: Couldn't parse params file: '--params-file missing.yaml'" in (
+        capfd.readouterr().err
+    )
+
+
+@pytest.mark.parametrize('arguments', [['--speed', '1'], ['--ros-args', '-p', 'nonsense']])
+def test_a_command_line_that_makes_no_sense_is_exit_code_2(arguments: list[str]) -> None:
+    try:
+        code = main(Broken, ['broken', *arguments])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+
+
+@dataclass(frozen=True)
+class DiverConfig(Config):
+    """Parameters of a test."""
+
+    depth: float = param(3.0, 'how deep', unit='m', low=1)
+
+
+class Diver(Broken):
+    """Dives."""
+
+    default_name = 'diver'
+    configs = (DiverConfig,)
+
+
+def test_help_lists_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(Diver, ['diver', '--help'])
+    assert end.value.code == 0
+    shown = capfd.readouterr().out
+    assert 'Dives.' in shown
+    assert 'depth: how deep [m]; a number at least 1 m (default: 3.0)' in shown
+
+
+def test_message_classes_are_found_by_the_name_of_their_type() -> None:
+    assert message_class('nav_msgs/msg/Odometry').__name__ == 'Odometry'
+
+
+@pytest.mark.parametrize('kind', ['nav_msgs/msg/Nothing', 'no_msgs/msg/Odometry', 'nonsense', ''])
+def test_a_message_type_that_is_not_installed_is_named(kind: str) -> None:
+    with pytest.raises(MessageError, match=f'message type {kind} is not installed'):
+        message_class(kind)

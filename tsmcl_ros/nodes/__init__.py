@@ -1,0 +1,1 @@
+"""The package's ROS nodes; the only importers of rclpy."""

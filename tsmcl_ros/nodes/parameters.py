@@ -1,0 +1,134 @@
+"""ROS parameters, declared from the config dataclasses: nothing is said twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import sys
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from tsmcl_ros.config import build, Config, Parameter, parameters, refuse_unknown
+from tsmcl_ros.types import ConfigError
+
+_INTEGER_LIMIT = 2**63 - 1
+# Parameters that rclpy looks after itself.
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+
+
+def declare(
+    node: Node, overrides: Mapping[str, RosParameter], configs: Sequence[type[Config]],
+) -> dict[str, Any]:
+    """
+    Declare the parameters of some configs on a node, and return their values.
+
+    The returned dict is kept up to date when a parameter that is not read-only is set, after the
+    configs have accepted the new value.
+
+    Parameters
+    ----------
+    node
+        The node.
+    overrides
+        What `-p` and `--params-file` gave the node, by name.
+    configs
+        Where the parameters come from.
+
+    Returns
+    -------
+    dict of str to Any
+        Value by parameter name, as `tsmcl_ros.config.build` takes them.
+
+    Raises
+    ------
+    ConfigError
+        If an override has no parameter, or its value is not allowed.
+    """
+    refuse_unknown(
+        (name for name in overrides if not name.startswith(_OF_ROS)), configs, node.get_name(),
+    )
+    known = {item.name: item for config in configs for item in parameters(config)}
+    values = {
+        name: _convert(item, overrides[name].value) if name in overrides else item.default
+        for name, item in known.items()
+    }
+    _check(configs, values)
+    for name, item in known.items():
+        node.declare_parameter(
+            name, _to_ros(values[name]), _descriptor(item), ignore_override=True,
+        )
+
+    def refuse(changes: list[RosParameter]) -> SetParametersResult:
+        try:
+            _check(configs, values | _converted(changes, known))
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(refuse)
+    node.add_post_set_parameters_callback(
+        lambda changes: values.update(_converted(changes, known))
+    )
+    return values
+
+
+def _converted(
+    changes: Sequence[RosParameter], known: Mapping[str, Parameter],
+) -> dict[str, Any]:
+    return {
+        change.name: _convert(known[change.name], change.value)
+        for change in changes if change.name in known
+    }
+
+
+def _convert(item: Parameter, value: Any) -> Any:
+    """Return what a ROS parameter's value means to a config."""
+    if item.type is tuple:
+        if value is None:  # as ROS reads an empty list, whose type it cannot tell
+            return ()
+        if isinstance(value, str):
+            return item.parse(value)
+        return item.convert(list(value))
+    return item.convert(value)
+
+
+def _to_ros(value: Any) -> Any:
+    # An empty list would be taken for one of bytes.
+    return RosParameter.Type.STRING_ARRAY if value == () else (
+        list(value) if isinstance(value, tuple) else value
+    )
+
+
+def _check(configs: Sequence[type[Config]], values: Mapping[str, Any]) -> None:
+    for config in configs:
+        build(config, values)
+
+
+def _descriptor(item: Parameter) -> ParameterDescriptor:
+    unit = f' [{item.unit}]' if item.unit else ''
+    descriptor = ParameterDescriptor(
+        description=f'{item.doc}{unit}',
+        additional_constraints=item.allowed,
+        read_only=item.read_only,
+    )
+    # ROS knows inclusive bounds only; the config refuses the rest.
+    low = item.low if item.low is not None else item.above
+    if low is None and item.high is None:
+        return descriptor
+    if item.type is float:
+        descriptor.floating_point_range = [FloatingPointRange(
+            from_value=-sys.float_info.max if low is None else float(low),
+            to_value=sys.float_info.max if item.high is None else float(item.high),
+        )]
+    elif item.type is int:
+        descriptor.integer_range = [IntegerRange(
+            from_value=-_INTEGER_LIMIT if low is None else int(low),
+            to_value=_INTEGER_LIMIT if item.high is None else int(item.high),
+        )]
+    return descriptor

@@ -1,0 +1,353 @@
+"""
+What all nodes share: raw messages in and out, time, and a clean end.
+
+Three things are done otherwise than rclpy's tutorials do them, all for a reason:
+
+- Nodes run on the EventsExecutor, which takes a quarter of the processor time, by `spin_once`:
+  its `spin` delivers nothing in rclpy 7.1.6, and ignores SIGTERM.
+- Signals only raise a flag, which `spin` looks at between two callbacks. rclpy's own handlers
+  shut the context down at once, and whatever a callback publishes then ends in a traceback.
+- What recurs with time follows /clock messages, or the wall clock, and not rclpy's timers: each
+  multiple of a period is met once, with its exact stamp, however fast simulated time goes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+import math
+import re
+import signal
+import sys
+import threading
+import time
+from typing import Any, ClassVar
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.experimental.events_executor import EventsExecutor
+import rclpy.node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from tsmcl_ros import messages
+from tsmcl_ros.config import Config, parameters
+from tsmcl_ros.nodes.parameters import declare
+from tsmcl_ros.types import MessageError, TsmclError
+
+# Best effort, as drivers publish, but deep: all vehicles' messages of an epoch come at once, and
+# none must be lost while the receiver computes. Memory is only taken for what waits.
+SENSOR_DATA = QoSProfile(
+    reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000,
+)
+RELIABLE = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=10,
+)
+# Reliable and transient local: who comes later still gets the last message.
+LATCHED = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST, depth=1,
+)
+
+_PATIENCE = 0.1  # s, longest wait before a signal is looked for
+_SECOND = 1_000_000_000
+_ROUNDING = 1000  # ns, more than a stamp of today loses as a float
+
+# Signals come to a process, and not to one of its objects.
+_asked_to_stop = threading.Event()
+
+
+class Stopped(Exception):
+    """SIGINT or SIGTERM came while a node was spinning."""
+
+
+class Node(rclpy.node.Node):  # type: ignore[misc]
+    """
+    A node that takes and gives serialized messages.
+
+    Subclasses say their `default_name` and `configs`, set up in `__init__`, and may override
+    `run` and `close`.
+
+    Attributes
+    ----------
+    settings : dict of str to Any
+        Value of each parameter by name, kept up to date.
+    """
+
+    default_name: ClassVar[str]
+    configs: ClassVar[tuple[type[Config], ...]] = ()
+
+    def __init__(self) -> None:
+        super().__init__(self.default_name)
+        # rclpy offers no other way to see overrides of parameters that nobody has declared.
+        self.settings = declare(self, self._parameter_overrides, self.configs)
+        self._events = EventsExecutor(context=self.context)
+        self._events.add_node(self)
+        self._rejections = Rejections(self.get_logger().error)
+        self._recurring: list[_Recurring] = []
+        self._follows_clock = self.get_parameter('use_sim_time').value is True
+        self._now = math.nan
+        if self._follows_clock:
+            self.listen('/clock', messages.CLOCK, self._take_clock, SENSOR_DATA)
+
+    @property
+    def now(self) -> float:
+        """Time [s]: that of /clock with use_sim_time, NaN before its first; else today's."""
+        return self._now if self._follows_clock else time.time()
+
+    def listen(
+        self, topic: str, kind: str, heed: Callable[[bytes], None], qos: QoSProfile,
+    ) -> None:
+        """
+        Subscribe to the serialized messages of a topic.
+
+        Where `heed` raises MessageError the message is rejected: an ERROR is logged, at most one
+        in five seconds a topic, and the node lives on.
+        """
+        def receive(data: bytes) -> None:
+            try:
+                heed(data)
+            except MessageError as error:
+                self._rejections.add(name, error)
+
+        subscription = self.create_subscription(message_class(kind), topic, receive, qos, raw=True)
+        name = subscription.topic_name
+
+    def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
+        """Return a publisher, which takes serialized messages as they are."""
+        return self.create_publisher(message_class(kind), topic, qos)
+
+    def every(self, period: float, act: Callable[[float], None]) -> None:
+        """
+        Call `act` with each multiple of the period [s] that time passes, while spinning.
+
+        Of several that are passed at once only the last counts.
+        """
+        recurring = _Recurring(round(period * _SECOND), act)
+        self._recurring.append(recurring)
+        if not self._follows_clock:
+            recurring.begin(time.time())
+
+    def spin(
+        self, until: Callable[[], bool] = lambda: False, timeout: float = math.inf,
+    ) -> bool:
+        """
+        Handle messages until a condition holds or the timeout [s] has passed.
+
+        The condition is looked at after every callback. A timeout of zero handles one event.
+
+        Returns
+        -------
+        bool
+            Whether the condition holds.
+
+        Raises
+        ------
+        Stopped
+            If the process was asked to end.
+        """
+        end = time.monotonic() + timeout
+        while not until():
+            left = end - time.monotonic()
+            wait = min(_PATIENCE, max(left, 0.0))
+            if not self._follows_clock:
+                now = time.time()
+                wait = min([wait, *(recurring.next - now for recurring in self._recurring)])
+            self._events.spin_once(timeout_sec=max(wait, 0.0))
+            if _asked_to_stop.is_set():
+                raise Stopped
+            if not self._follows_clock:
+                self._pass_time(time.time())
+            self._rejections.report()
+            if left <= 0:
+                return until()
+        return True
+
+    def run(self) -> None:
+        """Do what the node is for; here, handle messages for ever."""
+        self.spin()
+
+    def close(self) -> None:
+        """Let go of everything; nothing can be sent after that."""
+        self._rejections.report(at_once=True)
+        self._events.shutdown()
+        self.destroy_node()
+
+    def _take_clock(self, data: bytes) -> None:
+        self._now = messages.decode_clock(data)
+        self._pass_time(self._now)
+
+    def _pass_time(self, now: float) -> None:
+        for recurring in self._recurring:
+            recurring.pass_time(now)
+
+
+class Rejections:
+    """
+    Reports of rejected messages, at most one in five seconds a topic, with a count.
+
+    Parameters
+    ----------
+    log
+        Takes a line.
+    clock
+        Returns seconds that never go back.
+    """
+
+    interval = 5.0
+
+    def __init__(
+        self, log: Callable[[str], Any], clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._log = log
+        self._clock = clock
+        self._pending: dict[str, tuple[int, Exception]] = {}
+        self._reported: dict[str, float] = {}
+
+    def add(self, topic: str, error: Exception) -> None:
+        """Count a rejected message; the first of a topic is reported at once."""
+        count, _ = self._pending.get(topic, (0, error))
+        self._pending[topic] = count + 1, error
+        self.report()
+
+    def report(self, at_once: bool = False) -> None:
+        """Report what has waited for long enough, or everything."""
+        if not self._pending:
+            return
+        now = self._clock()
+        for topic, (count, error) in list(self._pending.items()):
+            if at_once or now - self._reported.get(topic, -math.inf) >= self.interval:
+                more = f' ({count} messages rejected since the last report)' if count > 1 else ''
+                self._log(f'{topic}: message rejected: {error}{more}')
+                self._reported[topic] = now
+                del self._pending[topic]
+
+
+@dataclass
+class _Recurring:
+    """Meets each multiple of a period once."""
+
+    period: int  # ns
+    act: Callable[[float], None]
+    count: int | None = None
+
+    @property
+    def next(self) -> float:
+        """Stamp of the next multiple [s]."""
+        return 0.0 if self.count is None else (self.count + 1) * self.period / _SECOND
+
+    def begin(self, now: float) -> None:
+        """Wait for the multiple after this time."""
+        self.count = self._latest(now)
+
+    def pass_time(self, now: float) -> None:
+        """Act on the last multiple that has been reached, if it is not the one acted on."""
+        count = self._latest(now)
+        # The first time seen may lie anywhere between two multiples: the past one is gone.
+        late = self.count is None and round(now * _SECOND) - count * self.period > _ROUNDING
+        if count != self.count:
+            self.count = count
+            if not late:
+                self.act(count * self.period / _SECOND)
+
+    def _latest(self, now: float) -> int:
+        return (round(now * _SECOND) + _ROUNDING) // self.period
+
+
+def message_class(kind: str) -> Any:
+    """
+    Return the Python class of a message type.
+
+    Raises
+    ------
+    MessageError
+        If the type is not installed.
+    """
+    package, _, name = kind.partition('/msg/')
+    try:
+        return getattr(import_module(f'{package}.msg'), name)
+    except (ImportError, AttributeError, TypeError, ValueError):
+        raise MessageError(f'message type {kind} is not installed') from None
+
+
+def wait_until_received(publisher: Publisher, timeout: float) -> bool:
+    """Wait until all reliable subscriptions have acknowledged what was published [s]."""
+    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout)))
+
+
+def main(node_class: type[Node], arguments: Sequence[str] | None = None) -> int:
+    """
+    Run a node until it is done, or SIGINT or SIGTERM comes, and return the exit code.
+
+    That is 0 after a signal, 1 after an error that the user can mend, which is shown as one line
+    on standard error, and 2 where the command line makes no sense.
+    """
+    arguments = sys.argv if arguments is None else arguments
+    name = node_class.default_name
+    with _signals_caught():
+        try:
+            _parser(node_class).parse_args(remove_ros_args(arguments)[1:])
+            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:  # rclpy's error types are private
+            print(f'{name}: {_in_one_line(error)}', file=sys.stderr)
+            return 1 if 'params file' in str(error) else 2
+        try:
+            with _closing(node_class()) as node:
+                node.run()
+        except Stopped:
+            pass
+        except TsmclError as error:
+            print(f'{name}: {error}', file=sys.stderr)
+            return 1
+        finally:
+            rclpy.try_shutdown()
+    return 0
+
+
+@contextmanager
+def _signals_caught() -> Iterator[None]:
+    """Let SIGINT and SIGTERM raise the flag, as often as they come: an end is not hurried."""
+    _asked_to_stop.clear()
+    before = {
+        number: signal.signal(number, lambda *_: _asked_to_stop.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _closing(node: Node) -> Iterator[Node]:
+    try:
+        yield node
+    finally:
+        node.close()
+
+
+def _in_one_line(error: Exception) -> str:
+    """Return what rcl complains about, without where in its sources."""
+    text = ' '.join(str(error).split())
+    return re.sub(r'^failed to \w+ (rcl|ROS arguments): |,? at /\S+\.c:\d+', '', text, flags=re.I)
+
+
+def _parser(node_class: type[Node]) -> argparse.ArgumentParser:
+    """Return what answers --help, and refuses arguments that are not ROS's."""
+    lines = [
+        f'  {item.name}: {item.doc}{f" [{item.unit}]" if item.unit else ""}; {item.allowed} '
+        f'(default: {item.default})'
+        for config in node_class.configs for item in parameters(config)
+    ]
+    return argparse.ArgumentParser(
+        prog=node_class.default_name,
+        usage='%(prog)s [-h] [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r FROM:=TO]',
+        description=' '.join((node_class.__doc__ or '').split()),
+        epilog='\n'.join(['parameters:', *lines]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
