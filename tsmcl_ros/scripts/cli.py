@@ -1,0 +1,65 @@
+"""How every script ends: its exit code, and one line where a user's error is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+import signal
+import sys
+import threading
+from types import FrameType
+
+from tsmcl_ros.types import TsmclError
+
+
+def run_script(
+    script: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None,
+) -> int:
+    """
+    Run a script and return its exit code.
+
+    The code is what the script returns, or 0; 0 also when SIGINT or SIGTERM stop it, which reach
+    the script as KeyboardInterrupt so that it closes what it has open; and 1 for an error that
+    its user can mend, which goes to standard error as one line. Wrong usage is argparse's matter:
+    it raises SystemExit with code 2.
+
+    Parameters
+    ----------
+    script
+        Takes the command line's arguments, None for the process's own.
+    arguments
+        What to hand it.
+    """
+    try:
+        with _interruptible():
+            return script(arguments) or 0
+    except KeyboardInterrupt:
+        return 0
+    except (TsmclError, OSError) as error:
+        reason = str(error)
+        if isinstance(error, OSError) and error.strerror:
+            reason = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
+        print(f'error: {" ".join(reason.splitlines())}', file=sys.stderr)
+        return 1
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Have SIGINT and SIGTERM raise KeyboardInterrupt, once: what it cleans up is to be done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        for number in previous:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        for number in previous:
+            signal.signal(number, interrupt)
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
