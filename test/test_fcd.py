@@ -148,7 +148,7 @@ def test_too_few_vehicles_are_refused(three) -> None:
 
 @pytest.mark.parametrize('start', [-1, 3.5])
 def test_a_start_outside_of_the_file_is_refused(three, start) -> None:
-    with pytest.raises(LogError, match=f'at the wanted start, {start} s: it lasts from 0 s to 3 s'):
+    with pytest.raises(LogError, match=f'start, {start} s: it lasts from 0 s to 3 s'):
         read_fcd(three, 1, start=start)
 
 
