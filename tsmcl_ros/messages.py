@@ -181,12 +181,23 @@ def decode_odometry(data: bytes) -> Odometry:
 def encode_odometry(
     odometry: Odometry, frame_id: str, child_frame_id: str, velocity: Sequence[float] = (),
 ) -> bytes:
-    """Return an odometry message; velocity is in the child frame, up to three axes [m/s]."""
+    """
+    Return an odometry message.
+
+    Parameters
+    ----------
+    odometry
+        The pose; a yaw of NaN is not measured, and gets a large variance.
+    frame_id, child_frame_id
+        The pose is that of the child in the frame.
+    velocity
+        In the child frame, up to three axes [m/s].
+    """
     writer = cdr.Writer()
     _write_header(writer, odometry.stamp, frame_id)
     writer.string(child_frame_id)
     writer.values('7d', *_checked(odometry.position), *_quaternion(odometry.yaw))
-    writer.values('36d', *_ZEROS)
+    writer.values('36d', *_ZEROS[:35], UNMEASURED if math.isnan(odometry.yaw) else 0.0)
     writer.values('6d', *velocity, *_ZEROS[:6 - len(velocity)])
     writer.values('36d', *_ZEROS)
     return writer.finish()
@@ -242,7 +253,7 @@ def encode_pose(
     writer = cdr.Writer()
     _write_header(writer, stamp, frame_id)
     position = [*_checked(mean), *_ZEROS[:3 - dimension]]
-    writer.values('7d', *position, *_quaternion(0.0 if math.isnan(yaw) else yaw))
+    writer.values('7d', *position, *_quaternion(yaw))
     writer.values('36d', *full.ravel().tolist())
     return writer.finish()
 
@@ -394,6 +405,9 @@ _ZEROS = (0.0,) * 36
 
 
 def _quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Return the rotation about z; none where the yaw is not known."""
+    if math.isnan(yaw):
+        return 0.0, 0.0, 0.0, 1.0
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
@@ -461,12 +475,13 @@ def _decode_trajectory(
         )
     new = np.diff(stamp, prepend=-1.0) > 0
     stamp, numbers = stamp[new], numbers[new]
-    yaw = _yaw(*numbers[:, 3:7].T)
-    if not covariance:
-        return Trajectory(stamp, numbers[:, :3].copy(), yaw)
     matrix = numbers[:, 7:43].reshape(-1, 6, 6)
-    yaw = np.where(matrix[:, 5, 5] >= UNMEASURED, np.nan, yaw)
-    return Trajectory(stamp, numbers[:, :3].copy(), yaw, matrix[:, :3, :3].copy())
+    return Trajectory(
+        stamp,
+        numbers[:, :3].copy(),
+        np.where(matrix[:, 5, 5] >= UNMEASURED, np.nan, _yaw(*numbers[:, 3:7].T)),
+        matrix[:, :3, :3].copy() if covariance else None,
+    )
 
 
 def _equal_lengths(messages: Sequence[bytes]) -> Iterator[list[bytes]]:
