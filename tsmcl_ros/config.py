@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields, MISSING
 from difflib import get_close_matches
 import math
 from pathlib import Path
+import sys
 import types
 import typing
 from typing import Any, TypeVar
@@ -29,7 +30,7 @@ class Parameter:
 
     name: str
     attribute: str
-    type: type
+    type: type[Any]
     default: Any
     doc: str
     unit: str = ''
@@ -71,7 +72,7 @@ class Parameter:
         ConfigError
             If the value has another type, or lies outside what is allowed.
         """
-        if self.type is float and type(value) is int:
+        if self.type is float and type(value) is int and abs(value) <= sys.float_info.max:
             value = float(value)
         elif self.type is tuple and isinstance(value, (list, tuple)):
             value = tuple(value)
@@ -86,7 +87,7 @@ class Parameter:
                 (self.low is None or value >= self.low)
                 and (self.above is None or value > self.above)
                 and (self.high is None or value <= self.high)
-                and not math.isnan(value)
+                and (self.type is int or math.isfinite(value))
             )
             if not fits:
                 raise self.refuse(value)
@@ -233,7 +234,7 @@ def load_yaml(path: str | Path, node: str = '') -> dict[str, Any]:
         document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigError(f'{path}: cannot read the parameter file: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = ' '.join(str(error).split())
         raise ConfigError(f'{path}: is not a YAML file: {reason}') from None
     values: dict[str, Any] = {}
@@ -256,11 +257,20 @@ def dump_yaml(*configs: Config) -> str:
     for config in configs:
         for item in parameters(type(config)):
             value = getattr(config, item.attribute)
-            text = yaml.safe_dump(list(value) if isinstance(value, tuple) else value,
-                                  default_flow_style=True).splitlines()[0]
             unit = f' [{item.unit}]' if item.unit else ''
-            lines.append(f'    {item.name}: {text}  # {item.doc}{unit}; {item.allowed}')
+            lines.append(f'    {item.name}: {_inline(value)}  # {item.doc}{unit}; {item.allowed}')
     return '\n'.join(lines) + '\n'
+
+
+def _inline(value: Any) -> str:
+    """Return a parameter's value as YAML on one line; texts in quotes keep theirs escaped."""
+    text: str = yaml.safe_dump(
+        list(value) if isinstance(value, tuple) else value,
+        default_flow_style=True,
+        default_style='"' if isinstance(value, (str, tuple)) else None,
+        width=math.inf,
+    )
+    return text.splitlines()[0]
 
 
 def _flatten(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
