@@ -1,0 +1,108 @@
+"""The direction of imports, read from the sources without importing them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import sys
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / 'tsmcl_ros'
+
+# What each part of the package may import from it, besides itself ...
+BASE = {'types', 'config'}
+MODEL = BASE | {'model'}
+WORLD = MODEL | {'fcd', 'world'}
+LOCALIZER = MODEL | {'methods', 'localizer'}
+RECORDS = {'types', 'cdr', 'messages', 'bag', 'csv_log'}
+OWN = {
+    'types': set(),
+    'config': {'types'},
+    'cdr': {'types'},
+    'messages': {'types', 'cdr'},
+    'bag': {'types'},
+    'csv_log': {'types', 'messages'},
+    'model': BASE,
+    'methods': MODEL,
+    'localizer': LOCALIZER,
+    'fcd': MODEL,
+    'world': WORLD,
+    'evaluation': WORLD | LOCALIZER | RECORDS,
+    'nodes': WORLD | LOCALIZER | RECORDS | {'evaluation', 'scripts'},
+    'scripts': WORLD | LOCALIZER | RECORDS | {'evaluation', 'nodes'},
+}
+# ... and from elsewhere, besides the standard library. A module's own line precedes its part's.
+ROS = {
+    'ament_index_python', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs',
+    'rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs', 'tf2_ros',
+    'visualization_msgs',
+}
+OTHERS = {
+    'types': {'numpy'},
+    'config': {'yaml'},
+    'cdr': {'numpy'},
+    'messages': {'numpy'},
+    'bag': {'numpy', 'rosbags'},
+    'csv_log': {'numpy'},
+    'model': {'numpy', 'scipy'},
+    'methods': {'numpy'},
+    'methods.grid': {'numpy', 'scipy'},  # its convolution
+    'localizer': {'numpy'},
+    'fcd': {'numpy'},
+    'world': {'numpy', 'scipy'},
+    'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},
+    'evaluation.plots': {'numpy', 'matplotlib'},
+    'nodes': {'numpy', 'tqdm', 'yaml', *ROS},
+    'scripts': {'numpy', 'tqdm', 'yaml'},
+}
+MODULES = {
+    '.'.join(path.relative_to(PACKAGE).with_suffix('').parts): path
+    for path in sorted(PACKAGE.rglob('*.py'))
+}
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Yield the dotted name of all that a module imports, in functions and for types as well."""
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path}:{node.lineno}: a relative import'
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+def own_imports(path: Path) -> Iterator[list[str]]:
+    """Yield what a module imports from the package, split: ['model', 'radio', 'Channel']."""
+    for name in imports(path):
+        root, *rest = name.split('.')
+        if root == 'tsmcl_ros':
+            yield rest
+
+
+def test_that_every_part_has_its_place() -> None:
+    parts = {name.partition('.')[0] for name in MODULES} - {'__init__'}
+    assert parts <= OWN.keys() == {name for name in OTHERS if '.' not in name}
+
+
+@pytest.mark.parametrize('module', MODULES)
+def test_that_imports_from_the_package_go_down(module: str) -> None:
+    part = module.partition('.')[0]
+    used = {name[0] for name in own_imports(MODULES[module])} - {part}
+    assert used <= OWN.get(part, set())
+
+
+@pytest.mark.parametrize('module', MODULES)
+def test_that_libraries_are_imported_only_where_they_belong(module: str) -> None:
+    allowed = OTHERS.get(module, OTHERS.get(module.partition('.')[0], set()))
+    used = {name.partition('.')[0] for name in imports(MODULES[module])}
+    assert used - sys.stdlib_module_names - {'tsmcl_ros'} <= allowed
+
+
+METHODS = [name for name in MODULES if name.startswith('methods.') and '__init__' not in name]
+
+
+@pytest.mark.parametrize('module', METHODS)
+def test_that_methods_do_not_import_each_other(module: str) -> None:
+    assert 'methods' not in {name[0] for name in own_imports(MODULES[module])}
