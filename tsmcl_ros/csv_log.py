@@ -117,7 +117,7 @@ def read_log(path: str | Path) -> CsvLog:
     if not folder.is_dir():
         reason = 'is no folder' if folder.exists() else 'there is no such folder'
         raise LogError(f'{folder}: {reason}, a CSV log is one with anchors.csv and beacons.csv')
-    anchors = _read_anchors(folder / 'anchors.csv')
+    anchors = read_anchors(folder / 'anchors.csv')
     beacons = _read_table(folder / 'beacons.csv', _BEACONS)
     notes = []
     number, sender = np.array(beacons.lines), beacons['anchor']
@@ -270,8 +270,16 @@ def _parse(path: Path, line: int, column: _Column, text: str) -> float:
         ) from None
 
 
-def _read_anchors(path: Path) -> Observation:
-    table = _read_table(path, _ANCHORS)
+def read_anchors(path: str | Path) -> Observation:
+    """
+    Return the anchors of an anchors.csv as one scan (V = 1, D = 3), in order of their ids.
+
+    Raises
+    ------
+    LogError
+        If the file is missing, has a bad row or none, or an id comes twice.
+    """
+    table = _read_table(Path(path), _ANCHORS)
     sender = table['id'].astype(np.int64)
     order = np.argsort(sender, kind='stable')
     twice = np.flatnonzero(np.diff(sender[order]) == 0)
