@@ -173,9 +173,9 @@ class World:
         ConfigError
             If the channel has no radio range.
         """
+        truth = self.mobility.step(self._config.beacon_period)
         self._periods += 1
         stamp = self._begin + self._periods * self._config.beacon_period
-        truth = self.mobility.step(self._config.beacon_period)
         odom_position, odom_yaw = self._odometry.step(truth)
         observation = receive(
             self._channel, truth.position, self.anchors if senders is None else senders,
