@@ -7,6 +7,7 @@ DDS is never mocked. Each pytest process, and so each xdist worker, has a ROS do
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 import os
 from pathlib import Path
 import shutil
@@ -96,6 +97,7 @@ class Executable:
             stderr=subprocess.STDOUT,
             encoding='utf-8',
             errors='replace',
+            start_new_session=True,
         )
         self._lines: list[str] = []
         self._ended = False
@@ -115,7 +117,7 @@ class Executable:
 
     @property
     def output(self) -> str:
-        """What it has written so far, standard output and error together."""
+        """Return what it has written so far, standard output and error together."""
         with self._changed:
             return ''.join(self._lines)
 
@@ -126,7 +128,7 @@ class Executable:
             line = self._find(text)
             reason = 'ended' if self._ended else f'went on for {timeout:g} s'
         if line is None:
-            pytest.fail(f'{self.module} {reason} without writing {text!r}; it wrote:\n{self.output}')
+            pytest.fail(f'{self.module} {reason} without {text!r}; it wrote:\n{self.output}')
         return line.rstrip('\n')
 
     def _find(self, text: str) -> str | None:
@@ -148,9 +150,9 @@ class Executable:
         return self.wait(timeout)
 
     def kill(self) -> None:
-        """End it without asking, if it still runs."""
-        if self.process.poll() is None:
-            self.process.kill()
+        """End it, and what it has started, without asking."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self._reader.join()
         assert self.process.stdout is not None
@@ -160,9 +162,10 @@ class Executable:
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
     """
-    Start executables: `start('nodes.localizer', '--ros-args', '-p', 'seed:=1')`.
+    Return a function that starts one of the package's executables.
 
-    They run in the test's temporary folder, and none outlives the test.
+    `start('nodes.localizer', '--ros-args', '-p', 'seed:=1')` runs it in the test's temporary
+    folder; neither it nor what it started outlives the test.
     """
     started: list[Executable] = []
 
@@ -178,7 +181,11 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
 
 @pytest.fixture
 def run(start: Callable[..., Executable]) -> Callable[..., tuple[int, str]]:
-    """Run a script to its end: `code, output = run('scripts.evaluate', bag)`."""
+    """
+    Return a function that runs an executable to its end.
+
+    `code, output = run('scripts.evaluate', bag)`
+    """
 
     def run_one(module: str, *arguments: object, timeout: float = 240.0,
                 cwd: Path | None = None) -> tuple[int, str]:
