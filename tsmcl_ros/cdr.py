@@ -7,6 +7,7 @@ multiple of its own size. See OMG's "DDS Interoperability Wire Protocol", sectio
 
 from __future__ import annotations
 
+from functools import cache
 import struct
 from typing import Any
 
@@ -15,6 +16,12 @@ from tsmcl_ros.types import MessageError
 HEADER = b'\x00\x01\x00\x00'
 _BIG_ENDIAN = b'\x00\x00'
 _MAX_PADDING = 3
+
+
+@cache
+def _compiled(form: str) -> tuple[struct.Struct, int]:
+    """Return the layout of some values, and the size that they are aligned to."""
+    return struct.Struct('<' + form), struct.calcsize(form[-1])
 
 
 class Reader:
@@ -64,13 +71,13 @@ class Reader:
 
     def values(self, form: str) -> tuple[Any, ...]:
         """Return values of one common size, named by a `struct` format such as '7d' or 'iI'."""
-        self.align(struct.calcsize(form[-1]))
-        form = '<' + form
+        layout, size = _compiled(form)
+        start = self.align(size)
         try:
-            found = struct.unpack_from(form, self.data, self.position)
+            found = layout.unpack_from(self.data, start)
         except struct.error:
-            raise self._truncated(struct.calcsize(form)) from None
-        self.position += struct.calcsize(form)
+            raise self._truncated(layout.size) from None
+        self.position = start + layout.size
         return found
 
     def string(self) -> str:
@@ -108,12 +115,15 @@ class Writer:
 
     def align(self, size: int) -> None:
         """Pad to the next multiple of a value's size."""
-        self._body += bytes(-len(self._body) % size)
+        gap = -len(self._body) % size
+        if gap:
+            self._body += bytes(gap)
 
     def values(self, form: str, *values: Any) -> None:
         """Add values of one common size, named by a `struct` format such as '7d' or 'iI'."""
-        self.align(struct.calcsize(form[-1]))
-        self._body += struct.pack('<' + form, *values)
+        layout, size = _compiled(form)
+        self.align(size)
+        self._body += layout.pack(*values)
 
     def string(self, text: str) -> None:
         """Add a text."""
