@@ -40,6 +40,26 @@ class LogError(TsmclError):
 
 
 @dataclass(frozen=True, eq=False)
+class Silence:
+    """
+    Known anchors that V radios did not hear in an epoch, padded to S rows a vehicle.
+
+    Attributes
+    ----------
+    known : (V, S) bool
+        False where padded.
+    position : (V, S, D) float32
+        [m].
+    max_range : (V, S) float32
+        Radio range [m], NaN where unknown.
+    """
+
+    known: Array
+    position: Array
+    max_range: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Observation:
     """
     What V radios heard in one beacon epoch, padded to K rows a vehicle.
@@ -61,6 +81,8 @@ class Observation:
     max_range, range, range_std, rssi : (V, K) float32
         Radio range [m], measured range and its standard deviation [m], received power [dBm];
         NaN where not measured.
+    silent : Silence or None
+        Known anchors not heard, where their silence is to count as evidence.
     """
 
     stamp: float
@@ -73,6 +95,7 @@ class Observation:
     range: Array
     range_std: Array
     rssi: Array
+    silent: Silence | None = None
 
     @classmethod
     def empty(cls, vehicles: int, references: int, dimension: int, stamp: float) -> Observation:
@@ -113,7 +136,7 @@ class Observation:
         return np.asarray(self.sender != PADDED)
 
     def project(self, dimension: int) -> Observation:
-        """Return the same observation with positions cut to the first D coordinates."""
+        """Return the same observation, rows and all, cut to the first D coordinates."""
         return replace(
             self,
             position=self.position[:, :, :dimension],
@@ -128,7 +151,9 @@ class Observation:
         )
 
 
-_ROW_FIELDS = tuple(field.name for field in fields(Observation) if field.name != 'stamp')
+_ROW_FIELDS = tuple(
+    field.name for field in fields(Observation) if field.name not in ('stamp', 'silent')
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +195,30 @@ class Motion:
     elapsed: float
     displacement: Array | None = None
     turn: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """
+    Where somebody says that one vehicle is.
+
+    Attributes
+    ----------
+    vehicle : int
+        Index of the vehicle.
+    mean, covariance : (D,), (D, D) float64
+        Position [m, m^2].
+    yaw : float or None
+        Rotation from the odometry frame to the map [rad]; None if unknown.
+    yaw_std : float
+        [rad].
+    """
+
+    vehicle: int
+    mean: Array
+    covariance: Array
+    yaw: float | None = None
+    yaw_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +284,21 @@ class Trajectory:
 
 
 class Estimator(Protocol):
-    """What every method offers to the localizer; it knows arrays and nothing else."""
+    """
+    What every method offers to the localizer; it knows arrays and nothing else.
+
+    `particles` is the cloud (V, N, D) [m]; (V, 0, D) for a method without one.
+    """
+
+    @property
+    def particles(self) -> Array:
+        """Return the cloud (V, N, D) [m]; (V, 0, D) for a method without one."""
+
+    def start(self, prior: Prior) -> None:
+        """Replace one vehicle's belief by a prior."""
+
+    def forget(self, vehicle: int) -> None:
+        """Drop one vehicle's belief: it starts anew at its next beacon."""
 
     def predict(self, motion: Motion) -> None:
         """Move the belief by the motion since the last epoch."""

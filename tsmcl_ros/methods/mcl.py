@@ -1,0 +1,114 @@
+"""
+MCL: Monte Carlo localization by rejection and redraw, the baseline.
+
+Hu and Evans: Localization for mobile sensor networks, MobiCom 2004, with N = 50 and the `random`
+motion model. A particle survives with the probability that its presence evidence gives it: with
+hard disks that is the paper's filter, d <= R for hops 1 and R < d <= 2R for hops 2. Ranges and
+rssi, which the paper does not have, weigh the survivors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from tsmcl_ros.config import param
+from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.radio import Channel, Evidence
+from tsmcl_ros.types import Array, Estimate, Motion, Observation
+
+
+@dataclass(frozen=True)
+class MclConfig(CloudConfig):
+    """The rejection; more redraws find more survivors, for more time."""
+
+    max_redraws: int = param(
+        20, 'times that rejected particles are drawn again from the prediction',
+        low=0, high=10_000)
+
+
+class Mcl(ParticleFilter):
+    """MCL of V vehicles: predict, reject and redraw, weigh what is measured, resample."""
+
+    Config = MclConfig
+
+    def __init__(self, config: MclConfig, channel: Channel, motion: MotionModel,
+                 vehicles: int, dimension: int, rng: np.random.Generator):
+        super().__init__(config, channel, motion, vehicles, dimension, rng)
+        self.config = config
+        self._motion: Motion | None = None
+        self._parents = self.cloud.states
+
+    def predict(self, motion: Motion) -> None:
+        """Move the particles, keeping their parents for the redraws."""
+        self._motion, self._parents = motion, self.cloud.states
+        super().predict(motion)
+
+    def update(self, observation: Observation) -> Estimate:
+        """Keep and redraw particles until enough survive what was heard."""
+        evidence = self.channel.evidence(observation)
+        new = evidence.heard & ~self.cloud.placed
+        self.cloud.place(evidence)
+        starved = self.filter(evidence.presence, self.cloud.placed & ~new)
+        self.cloud.place_again(starved | self.cloud.excluded(evidence.measured), evidence)
+        self.cloud.weigh(evidence.measured)
+        estimate = self.cloud.estimate(observation)
+        self.cloud.resample()
+        return estimate
+
+    def filter(self, presence: Evidence, which: Array) -> Array:
+        """
+        Reject particles and redraw them from their vehicle's prediction.
+
+        What is still rejected after the last redraw becomes a copy of a random survivor.
+
+        Parameters
+        ----------
+        presence : Evidence
+            Who was heard and who was silent.
+        which : (V,) bool
+            The vehicles to filter.
+
+        Returns
+        -------
+        (V,) bool
+            The vehicles of which no particle survived; theirs are left as predicted.
+        """
+        states = self.cloud.states
+        size = states.shape[1]
+        rejected = which[:, None] & ~self._survives(
+            presence.log_likelihood(self.cloud.particles))
+        for _ in range(self.config.max_redraws):
+            owner, index = np.nonzero(rejected)
+            if not len(owner) or self._motion is None:
+                break
+            drawn = self._redraw(owner, size)
+            survives = self._survives(
+                presence.log_likelihood_of(drawn[:, :self.cloud.dimension], owner))
+            states[owner[survives], index[survives]] = drawn[survives]
+            rejected[owner[survives], index[survives]] = False
+        starved = rejected.all(axis=1)
+        rejected[starved] = False
+        owner, index = np.nonzero(rejected)
+        if len(owner):
+            # Survivors first in each vehicle's order, so that a random rank picks one.
+            survivors = np.argsort(rejected, axis=1, kind='stable')
+            number = size - rejected.sum(axis=1)
+            rank = (self.rng.random(len(owner)) * number[owner]).astype(np.int64)
+            states[owner, index] = states[owner, survivors[owner, rank]]
+        return np.asarray(starved)
+
+    def _redraw(self, owner: Array, size: int) -> Array:
+        """Return new states (M, D + extra) of the vehicles (M,), predicted from any parent."""
+        assert self._motion is not None
+        parent = self.rng.integers(size, size=len(owner))
+        motion = self._motion
+        if motion.displacement is not None and motion.turn is not None:
+            motion = Motion(motion.elapsed, motion.displacement[owner], motion.turn[owner])
+        return self.cloud.motion.predict(
+            self._parents[owner, parent][:, None], motion, self.rng)[:, 0]
+
+    def _survives(self, log_likelihood: Array) -> Array:
+        """Return which particles survive, each with its own likelihood."""
+        return np.log(1 - self.rng.random(log_likelihood.shape, np.float32)) < log_likelihood

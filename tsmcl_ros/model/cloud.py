@@ -1,0 +1,228 @@
+"""A fleet's weighted particle clouds, and the steps that every particle filter is composed of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from tsmcl_ros.config import Config, param
+from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.particles import (
+    effective_sample_size, moments, normalize, systematic_resample)
+from tsmcl_ros.model.radio import Channel, Evidence
+from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
+
+# Improves points (M, D) [m] of the vehicles (M,), given a length scale (M,) [m] and the evidence.
+Repair = Callable[[Array, Array, Array, Evidence], Array]
+
+
+@dataclass(frozen=True)
+class CloudConfig(Config):
+    """How many particles a vehicle gets, and when they are resampled or drawn anew."""
+
+    min_particles: int = param(200, 'particles of a vehicle', low=2, high=1_000_000)
+    max_particles: int = param(
+        2000, 'candidates that a vehicle\'s particles are drawn from when it is first placed',
+        low=2, high=10_000_000)
+    resample_threshold: float = param(
+        0.5, 'resample when the effective sample size falls below this share of the particles',
+        low=0.0, high=1.0)
+    jitter: float = param(
+        0.05, 'noise on resampled particles, in standard deviations of the cloud, so that '
+        'copies part', low=0.0, high=1.0)
+    exclusion: float = param(
+        25.0, 'place a vehicle anew when its best particle\'s log-likelihood is below minus '
+        'this and 0.7 a reference', above=0.0)
+
+    def check(self) -> None:
+        """Hold that the first epoch has at least as many particles as the later ones."""
+        if self.max_particles < self.min_particles:
+            raise ConfigError(
+                f'max_particles: {self.max_particles} is not allowed, must be at least '
+                f'min_particles, {self.min_particles}')
+
+
+class Cloud:
+    """
+    Particles of V vehicles, placed when a vehicle first hears a beacon.
+
+    Attributes
+    ----------
+    states : (V, N, D + extra) float32
+        Positions [m], then what the motion model remembers.
+    log_weights : (V, N) float32
+    placed : (V,) bool
+        False for a vehicle that never heard a beacon.
+    """
+
+    def __init__(self, config: CloudConfig, motion: MotionModel, vehicles: int, dimension: int,
+                 rng: np.random.Generator):
+        self.config = config
+        self.motion = motion
+        self.dimension = dimension
+        self.rng = rng
+        count = config.min_particles
+        self.states = np.zeros((vehicles, count, dimension + motion.extra), np.float32)
+        self.log_weights = np.zeros((vehicles, count), np.float32)
+        self.placed = np.zeros(vehicles, bool)
+        self._log_likelihood = np.full(vehicles, np.nan)
+        self._reinitialized = np.zeros(vehicles, bool)
+
+    @property
+    def particles(self) -> Array:
+        """(V, N, D) float32: the positions [m]."""
+        return self.states[:, :, :self.dimension]
+
+    def predict(self, motion: Motion) -> None:
+        """Move the particles by the motion model."""
+        self.states = self.motion.predict(self.states, motion, self.rng)
+
+    def start(self, prior: Prior) -> None:
+        """Draw one vehicle's particles from a prior belief."""
+        index, count = prior.vehicle, self.config.min_particles
+        self.states[index, :, :self.dimension] = self.rng.multivariate_normal(
+            prior.mean, prior.covariance, count, method='eigh')
+        self.states[index, :, self.dimension:] = self.motion.draw(1, count, self.rng)[0]
+        if self.motion.heading and prior.yaw is not None:
+            self.states[index, :, self.dimension] = (
+                prior.yaw + prior.yaw_std * self.rng.standard_normal(count))
+        self.log_weights[index] = 0
+        self.placed[index] = True
+
+    def forget(self, vehicle: int) -> None:
+        """Place a vehicle anew at its next beacon."""
+        self.placed[vehicle] = False
+
+    def place(self, evidence: Evidence, repair: Repair | None = None) -> None:
+        """Draw particles for the vehicles that hear a beacon for the first time."""
+        self._draw(evidence.heard & ~self.placed, evidence, repair)
+
+    def excluded(self, evidence: Evidence) -> Array:
+        """Return the vehicles (V,) bool of which the evidence excludes even the best particle."""
+        best = evidence.log_likelihood(self.particles).max(axis=1)
+        return np.asarray(
+            self.placed & (best < -self.config.exclusion - 0.7 * evidence.terms))
+
+    def place_again(self, which: Array, evidence: Evidence, repair: Repair | None = None
+                    ) -> None:
+        """Draw the clouds of these vehicles (V,) bool anew, from the observation alone."""
+        self._draw(which, evidence, repair)
+        self._reinitialized = which
+
+    def weigh(self, evidence: Evidence) -> None:
+        """Multiply the weights by the likelihood of the evidence."""
+        _, before = normalize(self.log_weights)
+        self.log_weights = self.log_weights + evidence.log_likelihood(self.particles)
+        _, after = normalize(self.log_weights)
+        self._log_likelihood = after - before
+
+    def estimate(self, observation: Observation) -> Estimate:
+        """Return the weighted mean and covariance of every vehicle's cloud."""
+        weights, _ = normalize(self.log_weights)
+        mean, covariance = moments(self.particles, weights)
+        mean[~self.placed] = np.nan
+        covariance[~self.placed] = np.nan
+        yaw, yaw_variance = self._heading(weights)
+        heard = observation.heard.sum(axis=1)
+        return Estimate(
+            stamp=observation.stamp, mean=mean, covariance=covariance, yaw=yaw,
+            yaw_variance=yaw_variance, ess=effective_sample_size(weights),
+            particles=self.states.shape[1],
+            log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
+            heard=heard, reinitialized=self._reinitialized)
+
+    def resample(self) -> None:
+        """Resample the clouds whose effective sample size has fallen too low."""
+        weights, _ = normalize(self.log_weights)
+        count = weights.shape[1]
+        low = self.placed & (
+            effective_sample_size(weights) < self.config.resample_threshold * count)
+        if not low.any():
+            return
+        index = systematic_resample(weights[low], count, self.rng)
+        states = np.take_along_axis(self.states[low], index[:, :, None], axis=1)
+        position = states[:, :, :self.dimension]
+        noise = self.rng.standard_normal(position.shape, np.float32)
+        position += np.float32(self.config.jitter) * spread(position)[:, None, None] * noise
+        self.states[low] = states
+        self.log_weights[low] = 0
+
+    def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
+        """Draw candidates in the evidence's box and keep the likely ones as particles."""
+        vehicle = np.flatnonzero(which)
+        if not len(vehicle):
+            return
+        many, few = self.config.max_particles, self.config.min_particles
+        shape = (len(vehicle), many, self.dimension)
+        low, high = evidence.box[vehicle, :1], evidence.box[vehicle, 1:]
+        candidates = low + (high - low) * self.rng.random(shape, np.float32)
+        owner = np.repeat(vehicle, many)
+        flat = candidates.reshape(-1, self.dimension)
+        if repair is not None:
+            flat = repair(flat, owner, np.repeat(spread(candidates), many), evidence)
+        likelihood = evidence.log_likelihood_of(flat, owner).reshape(shape[:2])
+        weights, _ = normalize(likelihood)
+        index = systematic_resample(weights, few, self.rng)
+        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
+            flat.reshape(shape), index[:, :, None], axis=1)
+        self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
+        self.log_weights[vehicle] = 0
+        self.placed[vehicle] = True
+
+    def _heading(self, weights: Array) -> tuple[Array, Array]:
+        """Return circular mean and variance (V,) of the headings, NaN where there are none."""
+        if not self.motion.heading:
+            unknown = np.full(len(weights), np.nan)
+            return unknown, unknown
+        heading = self.states[:, :, self.dimension]
+        cos = (weights * np.cos(heading)).sum(axis=1, dtype=np.float64)
+        sin = (weights * np.sin(heading)).sum(axis=1, dtype=np.float64)
+        variance = np.minimum(-2 * np.log(np.clip(np.hypot(cos, sin), 1e-9, 1)), math.pi ** 2)
+        return (np.where(self.placed, np.arctan2(sin, cos), np.nan),
+                np.where(self.placed, variance, np.nan))
+
+
+class ParticleFilter:
+    """
+    What all methods with a cloud share: everything but how they update it.
+
+    Parameters
+    ----------
+    config : CloudConfig
+    channel : Channel
+        Scores positions against observations.
+    motion : MotionModel
+    vehicles, dimension : int
+        V and D.
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, config: CloudConfig, channel: Channel, motion: MotionModel,
+                 vehicles: int, dimension: int, rng: np.random.Generator):
+        self.channel = channel
+        self.rng = rng
+        self.cloud = Cloud(config, motion, vehicles, dimension, rng)
+
+    @property
+    def particles(self) -> Array:
+        """(V, N, D) float32: the positions [m]."""
+        return self.cloud.particles
+
+    def start(self, prior: Prior) -> None:
+        """Replace one vehicle's belief by a prior."""
+        self.cloud.start(prior)
+
+    def forget(self, vehicle: int) -> None:
+        """Drop one vehicle's belief: it starts anew at its next beacon."""
+        self.cloud.forget(vehicle)
+
+    def predict(self, motion: Motion) -> None:
+        """Move the particles by the motion since the last epoch."""
+        self.cloud.predict(motion)
+
+
+def spread(points: Array) -> Array:
+    """Return the standard deviation per axis [m] (V,) of clouds of points (V, N, D)."""
+    return np.sqrt(points.var(axis=1).mean(axis=1))

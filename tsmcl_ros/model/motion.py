@@ -1,0 +1,234 @@
+"""
+Motion models: how particles move between two epochs.
+
+A particle's state is its position (D columns) followed by what its motion model remembers: the
+heading of the odometry frame, a velocity, or nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Protocol
+
+import numpy as np
+from tsmcl_ros.config import Config, param
+from tsmcl_ros.types import Array, ConfigError, Motion
+
+
+@dataclass(frozen=True)
+class MotionConfig(Config):
+    """How vehicles may move, and how far their odometry is to be trusted."""
+
+    motion_model: str = param(
+        'auto', 'how particles move; auto: by odometry if there is any, else by velocity',
+        choices=('auto', 'random', 'odometry', 'velocity'))
+    max_speed: float = param(
+        50.0, 'v_max, bounds the random motion model and the first velocities',
+        unit='m/s', above=0.0)
+    acceleration_std: float = param(
+        0.5, 'acceleration noise of the velocity model, white noise density',
+        unit='m/s^1.5', above=0.0)
+    speed_decay: float = param(
+        0.0, 'time constant in which the velocity model forgets, 0 for never', unit='s', low=0.0)
+    odom_heading: str = param(
+        'unknown', 'whether the odometry frame has the orientation of the map',
+        choices=('known', 'unknown'))
+    odom_std: float = param(
+        0.05, 'odometry position noise per square root of a second', unit='m', low=0.0)
+    alpha1: float = param(
+        0.05, 'rotation noise of odometry per rotation', unit='rad/rad', low=0.0)
+    alpha2: float = param(
+        0.005, 'rotation noise of odometry per distance', unit='rad/m', low=0.0)
+    alpha3: float = param(
+        0.1, 'position noise of odometry per distance', unit='m/m', low=0.0)
+    alpha4: float = param(
+        0.05, 'position noise of odometry per rotation', unit='m/rad', low=0.0)
+
+
+class MotionModel(Protocol):
+    """
+    What every motion model offers.
+
+    `extra` is the number of columns that it remembers; `heading` says that the first of them is
+    the rotation from the odometry frame to the map [rad].
+    """
+
+    extra: int
+    heading: bool
+
+    def draw(self, vehicles: int, count: int, rng: np.random.Generator) -> Array:
+        """Return (V, count, extra) float32: what particles remember before the first epoch."""
+
+    def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
+        """Return the states (V, N, D + extra) after the motion."""
+
+
+class RandomMotion:
+    """
+    Uniform in the disk or ball of radius v_max T around each particle.
+
+    The model of Hu and Evans (MobiCom 2004).
+    """
+
+    extra = 0
+    heading = False
+
+    def __init__(self, config: MotionConfig):
+        self.max_speed = config.max_speed
+
+    def draw(self, vehicles: int, count: int, rng: np.random.Generator) -> Array:
+        """Remember nothing."""
+        return np.zeros((vehicles, count, 0), np.float32)
+
+    def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
+        """Return the states (V, N, D) after the motion."""
+        return states + uniform_ball(states.shape, self.reach(motion.elapsed), rng)
+
+    def reach(self, elapsed: float) -> float:
+        """Return the radius [m] of the disk after this time [s]."""
+        return self.max_speed * elapsed
+
+
+class OdometryMotion:
+    """
+    The displacement measured by odometry, plus noise that grows with distance and turning.
+
+    Unless the odometry frame is known to have the map's orientation, each particle remembers
+    its own hypothesis of the rotation between them, which drifts with the gyro. A vehicle whose
+    odometry is missing spreads as the random motion model does.
+    """
+
+    def __init__(self, config: MotionConfig):
+        self.config = config
+        self.heading = config.odom_heading == 'unknown'
+        self.extra = int(self.heading)
+
+    def draw(self, vehicles: int, count: int, rng: np.random.Generator) -> Array:
+        """Return headings (V, count, extra), uniform."""
+        turns = rng.random((vehicles, count, self.extra), np.float32)
+        return (turns * 2 - 1) * np.float32(math.pi)
+
+    def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
+        """Return the states (V, N, D + extra) after the motion."""
+        dimension = states.shape[2] - self.extra
+        displacement, turn, std = self.measured(motion, len(states), dimension)
+        moved = states.copy()
+        position = moved[:, :, :dimension]
+        position += std[:, None, None] * rng.standard_normal(position.shape, np.float32)
+        if self.heading:
+            heading = moved[:, :, dimension]
+            path = np.linalg.norm(displacement, axis=1)
+            drift = np.sqrt((self.config.alpha1 * turn) ** 2 + (self.config.alpha2 * path) ** 2)
+            change = drift.astype(np.float32)[:, None] * rng.standard_normal(
+                heading.shape, np.float32)
+            # The displacement was driven, on average, with half of the step's drift.
+            cos, sin = np.cos(heading + change / 2), np.sin(heading + change / 2)
+            x, y = displacement[:, None, 0], displacement[:, None, 1]
+            position[:, :, 0] += cos * x - sin * y
+            position[:, :, 1] += sin * x + cos * y
+            position[:, :, 2:] += displacement[:, None, 2:]
+            heading += change
+        else:
+            position += displacement[:, None, :]
+        return moved
+
+    def measured(self, motion: Motion, vehicles: int, dimension: int
+                 ) -> tuple[Array, Array, Array]:
+        """
+        Return displacement (V, D) [m], turn (V,) [rad] and position noise std (V,) [m].
+
+        A vehicle whose odometry is missing has no displacement, and the standard deviation of
+        the random motion model.
+        """
+        config = self.config
+        if motion.displacement is None or motion.turn is None:
+            displacement, turn = np.full((vehicles, dimension), np.nan), np.zeros(vehicles)
+        else:
+            displacement, turn = motion.displacement[:, :dimension], np.abs(motion.turn)
+        missing = np.isnan(displacement).any(axis=1)
+        displacement = np.where(missing[:, None], 0, displacement).astype(np.float32)
+        turn = np.where(missing, 0, turn)
+        path = np.linalg.norm(displacement, axis=1)
+        variance = (config.odom_std ** 2 * motion.elapsed + (config.alpha3 * path) ** 2
+                    + (config.alpha4 * turn) ** 2)
+        disk = (config.max_speed * motion.elapsed) ** 2 / (dimension + 2)
+        std = np.sqrt(np.where(missing, disk, variance))
+        return displacement, turn, std.astype(np.float32)
+
+
+class VelocityMotion:
+    """
+    Correlated velocity with white acceleration noise, for what has no odometry.
+
+    Each particle remembers its velocity. With a decay time tau the velocity is an
+    Ornstein-Uhlenbeck process, whose speed stays bounded by acceleration_std sqrt(tau / 2).
+    """
+
+    heading = False
+
+    def __init__(self, config: MotionConfig, dimension: int):
+        self.config = config
+        self.extra = dimension
+
+    def draw(self, vehicles: int, count: int, rng: np.random.Generator) -> Array:
+        """Return velocities (V, count, D) [m/s]."""
+        shape = (vehicles, count, self.extra)
+        config = self.config
+        if config.speed_decay > 0:
+            std = config.acceleration_std * math.sqrt(config.speed_decay / 2)
+            return np.float32(std) * rng.standard_normal(shape, np.float32)
+        return uniform_ball(shape, config.max_speed, rng)
+
+    def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
+        """Return the states (V, N, 2 D) after the motion."""
+        config, elapsed = self.config, motion.elapsed
+        position, velocity = states[:, :, :self.extra], states[:, :, self.extra:]
+        keep = math.exp(-elapsed / config.speed_decay) if config.speed_decay > 0 else 1.0
+        variance = config.acceleration_std ** 2 * (
+            elapsed if keep == 1.0 else config.speed_decay / 2 * (1 - keep ** 2))
+        change = np.float32(math.sqrt(variance)) * rng.standard_normal(
+            velocity.shape, np.float32)
+        after = np.float32(keep) * velocity + change
+        return np.concatenate(
+            [position + np.float32(elapsed / 2) * (velocity + after), after], axis=2)
+
+
+def uniform_ball(shape: tuple[int, ...], radius: float, rng: np.random.Generator) -> Array:
+    """Return float32 points of this shape (..., D), uniform in the ball of this radius [m]."""
+    dimension = shape[-1]
+    direction = rng.standard_normal(shape, np.float32)
+    direction /= np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-20)
+    fraction = rng.random((*shape[:-1], 1), np.float32) ** np.float32(1 / dimension)
+    return direction * (np.float32(radius) * fraction)
+
+
+def motion_model(config: MotionConfig, dimension: int, odometry: bool) -> MotionModel:
+    """
+    Return the motion model that a config names.
+
+    Parameters
+    ----------
+    config : MotionConfig
+    dimension : int
+        D.
+    odometry : bool
+        Whether there is odometry, which is what `auto` goes by.
+
+    Raises
+    ------
+    ConfigError
+        If the model needs odometry and there is none.
+    """
+    name = config.motion_model
+    if name == 'auto':
+        name = 'odometry' if odometry else 'velocity'
+    if name == 'odometry':
+        if not odometry:
+            raise ConfigError(
+                "motion_model: 'odometry' needs odometry and there is none; use random, "
+                'velocity or auto')
+        return OdometryMotion(config)
+    if name == 'velocity':
+        return VelocityMotion(config, dimension)
+    return RandomMotion(config)

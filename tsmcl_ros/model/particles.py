@@ -1,0 +1,61 @@
+"""
+Weighted particle clouds: log-weights, effective sample size, resampling, moments.
+
+Shapes: particles (V, N, D), log_weights (V, N). Functions return new arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from tsmcl_ros.types import Array
+
+
+def normalize(log_weights: Array) -> tuple[Array, Array]:
+    """
+    Return weights (V, N) that sum to 1, and the log of each cloud's total weight (V,).
+
+    A cloud without any weight left gets equal weights and a total of -inf.
+    """
+    peak = log_weights.max(axis=1, keepdims=True)
+    peak = np.where(np.isfinite(peak), peak, 0)
+    weights = np.exp(log_weights - peak)
+    total = weights.sum(axis=1, keepdims=True, dtype=np.float64)
+    empty = total == 0
+    with np.errstate(divide='ignore'):
+        log_total = (np.log(total) + peak)[:, 0]
+    weights = np.where(empty, 1 / log_weights.shape[1], weights / np.where(empty, 1, total))
+    return weights.astype(np.float32), log_total
+
+
+def effective_sample_size(weights: Array) -> Array:
+    """Return 1 / sum w^2 (V,) of normalized weights (V, N)."""
+    return 1 / np.square(weights, dtype=np.float64).sum(axis=1)
+
+
+def systematic_resample(weights: Array, count: int, rng: np.random.Generator) -> Array:
+    """
+    Return indices (V, count) of particles drawn by systematic resampling.
+
+    Every particle is drawn floor or ceil of count * weight times (Kitagawa 1996).
+    """
+    vehicles, size = weights.shape
+    edges = np.cumsum(weights, axis=1, dtype=np.float64)
+    edges *= count / edges[:, -1:]
+    ticks = np.ceil(edges - rng.random((vehicles, 1))).astype(np.int64)
+    np.clip(ticks, 0, count, out=ticks)
+    ticks[:, -1] = count
+    copies = np.diff(ticks, axis=1, prepend=0)
+    particle = np.broadcast_to(np.arange(size), (vehicles, size))
+    return np.repeat(particle.ravel(), copies.ravel()).reshape(vehicles, count)
+
+
+def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
+    """
+    Return the weighted mean (V, D) [m] and covariance (V, D, D) [m^2], in float64.
+
+    The printed formula (1/N) sum w x of the TS-MCL paper (Sun, Wang, Zhang 2016), with weights
+    that sum to 1, divides by N twice; this is sum w x.
+    """
+    mean = np.einsum('vn,vnd->vd', weights, particles, dtype=np.float64)
+    deviation = particles - mean[:, None, :]
+    return mean, np.einsum('vn,vni,vnj->vij', weights, deviation, deviation)
