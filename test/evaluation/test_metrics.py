@@ -19,9 +19,9 @@ from tsmcl_ros.evaluation.metrics import (
     metrics_document,
     nees_band,
     pool,
-    UNMEASURED,
     write_tum,
 )
+from tsmcl_ros.messages import UNMEASURED
 from tsmcl_ros.types import Trajectory
 
 

@@ -8,7 +8,7 @@ part.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import math
 from pathlib import Path
@@ -16,10 +16,22 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
+from tsmcl_ros.messages import UNMEASURED
 from tsmcl_ros.types import Array, Trajectory
 
 MAX_AGE = 2.0
-UNMEASURED = 1e6
+
+# How tables show the metrics: attribute, heading, format.
+COLUMNS = (
+    ('rmse_m', 'RMSE [m]', '{:.3f}'),
+    ('mean_m', 'mean [m]', '{:.3f}'),
+    ('median_m', 'median [m]', '{:.3f}'),
+    ('p95_m', '95 % [m]', '{:.3f}'),
+    ('max_m', 'max [m]', '{:.3f}'),
+    ('availability', 'available', '{:.1%}'),
+    ('nees', 'NEES', '{:.2f}'),
+    ('epochs', 'epochs', '{:d}'),
+)
 
 
 @dataclass(frozen=True)
@@ -58,6 +70,12 @@ class Metrics:
         return {name: value if math.isfinite(value) else None
                 for name, value in asdict(self).items()}
 
+    def cells(self) -> list[str]:
+        """Return the metrics as the texts of a table's row, in the order of `COLUMNS`."""
+        values = ((getattr(self, name), form) for name, _, form in COLUMNS)
+        return ['-' if math.isnan(value) else form.format(value).replace('%', ' %')
+                for value, form in values]
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -72,6 +90,8 @@ class Comparison:
         The estimates compared, E epochs, D coordinates.
     truth : Trajectory
         The truth interpolated at their stamps.
+    path : Trajectory
+        The truth itself in the evaluated time, with its own stamps.
     error : (E,) float64
         Distance between the two [m].
     nees : (E,) float64
@@ -79,19 +99,25 @@ class Comparison:
     spread : (E,) float64
         Root of the covariance's trace [m]: the RMSE that the estimator claims to have; NaN
         without a covariance.
+    start, end : float
+        Stamps of the truth's first and last row, before anything was skipped [s].
     duration : float
         Evaluated time, that is the truth's span without what was skipped [s].
     available : float
         How much of it had an estimate not too old [s].
     left_out : int
-        Estimates not compared: before or after the evaluated time, or not finite.
+        Estimates before the truth's start, after its end, or not finite; what was skipped does
+        not count.
     """
 
     estimate: Trajectory
     truth: Trajectory
+    path: Trajectory
     error: Array
     nees: Array
     spread: Array
+    start: float
+    end: float
     duration: float
     available: float
     left_out: int
@@ -129,8 +155,8 @@ def compare(estimate: Trajectory, truth: Trajectory, skip: float = 0.0,
     dimension = _common_dimension(estimate, truth)
     known = np.isfinite(truth.position[:, :dimension]).all(axis=1)
     truth_stamp, truth_position = truth.stamp[known], truth.position[known, :dimension]
-    start = truth_stamp[0] + skip if known.any() else np.inf
-    end = truth_stamp[-1] if known.any() else -np.inf
+    first, end = (truth_stamp[0], truth_stamp[-1]) if known.any() else (np.inf, -np.inf)
+    start = first + skip
 
     finite = np.isfinite(estimate.position[:, :dimension]).all(axis=1)
     rows = finite & (estimate.stamp >= start) & (estimate.stamp <= end)
@@ -146,12 +172,15 @@ def compare(estimate: Trajectory, truth: Trajectory, skip: float = 0.0,
     return Comparison(
         estimate=compared,
         truth=Trajectory(compared.stamp, position, yaw),
+        path=_cut(truth, known & (truth.stamp >= start), dimension),
         error=np.linalg.norm(difference, axis=1),
         nees=_normalized_error_squared(difference, compared.covariance),
         spread=_spread(compared),
+        start=float(first),
+        end=float(end),
         duration=duration,
         available=_covered(estimate.stamp[finite], start, end, max_age) if duration else 0.0,
-        left_out=int(len(rows) - rows.sum()),
+        left_out=int(np.sum(~finite | (estimate.stamp < first) | (estimate.stamp > end))),
     )
 
 
@@ -177,6 +206,12 @@ def pool(comparisons: Iterable[Comparison]) -> Metrics:
         availability=sum(part.available for part in parts) / duration if duration else math.nan,
         epochs=int(error.size),
     )
+
+
+def mean_of(runs: Sequence[Metrics]) -> Metrics:
+    """Return the mean of each metric over several runs, that of their epochs rounded."""
+    means = {name: sum(getattr(run, name) for run in runs) / len(runs) for name, _, _ in COLUMNS}
+    return Metrics(**{**means, 'epochs': round(means['epochs'])})
 
 
 def nees_band(dimension: int, samples: int, confidence: float = 0.95) -> tuple[float, float]:

@@ -1,0 +1,263 @@
+"""What a bag tells of its runs: the poses beside ground truth, the anchors, the outages."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tsmcl_ros.bag import Reader
+from tsmcl_ros.evaluation.metrics import compare, Comparison, MAX_AGE, Metrics, pool
+from tsmcl_ros.messages import (
+    decode_beacons,
+    decode_odometries,
+    decode_poses,
+    ODOMETRY,
+    POINT_CLOUD,
+    POSE,
+)
+from tsmcl_ros.types import Array, BagError, MessageError, Trajectory
+
+OUTAGE = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """
+    One method's estimates for all vehicles of one bag.
+
+    Attributes
+    ----------
+    label : str
+        Names the run in tables and plots.
+    vehicles : mapping of name to Comparison
+        A vehicle is named by the namespace of its topics.
+    anchors : (A, 3) float32
+        Positions in the anchor map [m]; A is 0 without one.
+    radio_range : (A,) float32
+        [m], NaN where unknown.
+    outages : tuple of (from, to)
+        Times of more than `OUTAGE` in which no vehicle heard a beacon [s].
+    notes : tuple of str
+        What the reader of the metrics ought to know.
+    """
+
+    label: str
+    vehicles: Mapping[str, Comparison]
+    anchors: Array
+    radio_range: Array
+    outages: tuple[tuple[float, float], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def overall(self) -> Metrics:
+        """Metrics over all vehicles' epochs."""
+        return pool(self.vehicles.values())
+
+    @property
+    def error(self) -> Array:
+        """(E,) position errors of all vehicles' epochs [m]."""
+        return np.concatenate([part.error for part in self.vehicles.values()])
+
+
+def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
+              max_age: float = MAX_AGE) -> list[Run]:
+    """
+    Compare all poses of a bag with their ground truth.
+
+    A topic `NAMESPACE/pose` belongs to the `ground_truth` in the same namespace or in the nearest
+    one above it. What lies between the two namespaces is the method's name: `/veh_0/mcl/pose` and
+    `/veh_0/ts_mcl/pose` beside `/veh_0/ground_truth` are two runs. A pose topic without messages
+    counts as a vehicle that was never localized.
+
+    Parameters
+    ----------
+    path : str or Path
+        The bag's folder.
+    label : str, optional
+        By default the folder's name; the method's name follows where there are several.
+    skip, max_age : float
+        See `compare` [s].
+
+    Returns
+    -------
+    list of Run
+        At least one, each with at least one epoch.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read, holds no poses or no ground truth, or the two do not overlap in
+        time.
+    MessageError
+        If a pose or a ground truth is malformed; the text names bag and topic.
+    """
+    topics, messages = _read(path)
+    truths = {_namespace(topic): topic for topic in _named(topics, 'ground_truth', ODOMETRY)}
+    poses = {_namespace(topic): topic for topic in _named(topics, 'pose', POSE)}
+    _require(path, topics, poses, 'pose', POSE)
+    _require(path, topics, truths, 'ground_truth', ODOMETRY)
+
+    pairs: dict[str, dict[str, tuple[str, str]]] = defaultdict(dict)
+    notes = []
+    for namespace, topic in poses.items():
+        home = _nearest(namespace, truths)
+        if home is None:
+            notes.append(f'{topic} has no ground truth and is not evaluated')
+            continue
+        method = namespace[len(home):].strip('/')
+        pairs[method][home] = (topic, truths[home])
+    if not pairs:
+        raise BagError(
+            f'{path}: no pose belongs to a ground truth: found {_list(poses.values())} and '
+            f'{_list(truths.values())}, needed is one of each in the same namespace'
+        )
+    unlocalized = [home for home in truths if not any(home in pair for pair in pairs.values())]
+    if unlocalized:
+        notes.append(f'no pose topic, so not evaluated: {_list(map(_vehicle_name, unlocalized))}')
+
+    trajectories = _decode(path, pairs, messages)
+    anchors, radio_range = _anchor_map(topics, messages)
+    label = Path(path).resolve().name if label is None else label
+    runs = []
+    for method, vehicles in pairs.items():
+        compared = {
+            _vehicle_name(home): compare(trajectories[pose], trajectories[truth], skip, max_age)
+            for home, (pose, truth) in vehicles.items()
+        }
+        run = Run(
+            label=f'{label}/{method}' if len(pairs) > 1 and method else label,
+            vehicles=compared,
+            anchors=anchors,
+            radio_range=radio_range,
+            outages=_outages(vehicles, compared.values(), messages),
+            notes=(*notes, *_left_out(compared.values())),
+        )
+        if not any(len(part.error) for part in compared.values()):
+            raise BagError(
+                f'{path}: no pose lies in the time of its ground truth: poses span '
+                f'{_span(trajectories[pose] for pose, _ in vehicles.values())}, truth spans '
+                f'{_span(trajectories[truth] for _, truth in vehicles.values())}'
+                + (f', of which the first {skip:g} s are skipped' if skip else '')
+            )
+        runs.append(run)
+    return runs
+
+
+def _read(path: str | Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
+    """Return the bag's topics with their types, and the messages of those of interest."""
+    wanted = {'pose': POSE, 'ground_truth': ODOMETRY, 'beacons': POINT_CLOUD,
+              'anchor_map': POINT_CLOUD}
+    messages: dict[str, list[bytes]] = defaultdict(list)
+    with Reader(path) as reader:
+        topics = dict(reader.topics)
+        chosen = [topic for name, kind in wanted.items() for topic in _named(topics, name, kind)]
+        for message in reader.messages(chosen):
+            messages[message.topic].append(message.data)
+    return topics, messages
+
+
+def _named(topics: Mapping[str, str], name: str, kind: str) -> list[str]:
+    """Return the topics with that last part and type, veh_2 before veh_10."""
+    found = [topic for topic, its_kind in topics.items()
+             if its_kind == kind and topic.rsplit('/', 1)[-1] == name]
+    return sorted(found, key=lambda topic: (len(topic), topic))
+
+
+def _require(path: str | Path, topics: Mapping[str, str], found: Mapping[str, str], name: str,
+             kind: str) -> None:
+    if not found:
+        raise BagError(
+            f'{path}: holds no {name}: needed is a topic NAMESPACE/{name} of type {kind}, found '
+            f'{_list(topics)}'
+        )
+
+
+def _namespace(topic: str) -> str:
+    return topic.rpartition('/')[0]
+
+
+def _nearest(namespace: str, homes: Mapping[str, str]) -> str | None:
+    """Return the namespace itself or the nearest one above it that is a home."""
+    while namespace not in homes:
+        if not namespace:
+            return None
+        namespace = _namespace(namespace)
+    return namespace
+
+
+def _vehicle_name(namespace: str) -> str:
+    return namespace.strip('/') or 'vehicle'
+
+
+def _list(names: Iterable[str]) -> str:
+    names = list(names)
+    shown = ', '.join(names[:6]) or 'none'
+    return shown if len(names) <= 6 else f'{shown} and {len(names) - 6} more'
+
+
+def _decode(path: str | Path, pairs: Mapping[str, Mapping[str, tuple[str, str]]],
+            messages: Mapping[str, Sequence[bytes]]) -> dict[str, Trajectory]:
+    """Return the trajectories of all pose and truth topics."""
+    trajectories = {}
+    for vehicles in pairs.values():
+        for pair in vehicles.values():
+            for topic, decode in zip(pair, (decode_poses, decode_odometries), strict=True):
+                try:
+                    trajectories[topic] = decode(messages.get(topic, ()))
+                except MessageError as error:
+                    raise MessageError(f'{path}: {topic}: {error}') from None
+    return trajectories
+
+
+def _anchor_map(topics: Mapping[str, str],
+                messages: Mapping[str, Sequence[bytes]]) -> tuple[Array, Array]:
+    """Return positions (A, 3) and radio ranges (A,) of the first readable anchor map."""
+    for topic in _named(topics, 'anchor_map', POINT_CLOUD):
+        for data in messages.get(topic, ()):
+            try:
+                observation, _ = decode_beacons(data)
+            except MessageError:
+                continue
+            return observation.position[0], observation.max_range[0]
+    return np.empty((0, 3), np.float32), np.empty(0, np.float32)
+
+
+def _outages(homes: Iterable[str], compared: Iterable[Comparison],
+             messages: Mapping[str, Sequence[bytes]]) -> tuple[tuple[float, float], ...]:
+    """Return when none of the vehicles heard a beacon, though the bag holds beacons."""
+    heard = []
+    for home in homes:
+        for data in messages.get(f'{home}/beacons', ()):
+            try:
+                observation, _ = decode_beacons(data)
+            except MessageError:
+                continue  # The localizer rejected it, too.
+            if observation.heard.any():
+                heard.append(observation.stamp)
+    parts = [part for part in compared if part.duration]
+    if not heard or not parts:
+        return ()
+    start = min(part.end - part.duration for part in parts)
+    end = max(part.end for part in parts)
+    inside = sorted(stamp for stamp in heard if start < stamp < end)
+    edges = [start, *inside, end]
+    return tuple(
+        (begin, until) for begin, until in zip(edges, edges[1:], strict=False)
+        if until - begin > OUTAGE
+    )
+
+
+def _left_out(compared: Iterable[Comparison]) -> list[str]:
+    count = sum(part.left_out for part in compared)
+    return [f'{count} poses lie outside the time of the truth and are left out'] if count else []
+
+
+def _span(trajectories: Iterable[Trajectory]) -> str:
+    parts = [part.stamp for part in trajectories if len(part.stamp)]
+    if not parts:
+        return 'no time, as there is no message'
+    return (f'{min(stamp[0] for stamp in parts):.3f} to '
+            f'{max(stamp[-1] for stamp in parts):.3f} s')
