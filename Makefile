@@ -1,4 +1,8 @@
 # `make demo` and `make test` set up what they need in .venv, and nothing outside this folder.
+# Where a ROS installation is sourced they use that one, in an environment of its own.
+VENV := .venv$(addprefix -,$(ROS_DISTRO))
+OLDEST := $(VENV)-oldest
+VERSIONS := 3.12 3.11 3.13
 
 # Both cores; one file's tests stay in one process, which has a ROS domain to itself.
 PYTEST := -m pytest -n 2 --dist loadfile
@@ -10,34 +14,34 @@ SOURCES := setup.py setup.cfg pyproject.toml tools/environment.sh
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
 
-demo: .venv/demo.stamp  ## 40 vehicles find themselves over DDS; writes a bag and report.html
-	@.venv/bin/demo
+demo: $(VENV)/demo.stamp  ## 40 vehicles find themselves over DDS; writes a bag and report.html
+	@$(VENV)/bin/demo
 
-test: .venv/test.stamp  ## the test suite with coverage, then the static checks
-	@.venv/bin/python $(PYTEST) --cov
+test: $(VENV)/test.stamp  ## the test suite with coverage, then the static checks
+	@$(VENV)/bin/python $(PYTEST) --cov
 	@$(MAKE) --no-print-directory lint
 
-test-oldest: .venv-oldest/test.stamp  ## the test suite with the oldest supported versions
-	@.venv-oldest/bin/python $(PYTEST)
+test-oldest: $(OLDEST)/test.stamp  ## the test suite with the oldest supported versions
+	@$(OLDEST)/bin/python $(PYTEST)
 
-lint: .venv/test.stamp  ## the static checks alone: style, docstrings, types
-	@.venv/bin/ruff check .
-	@.venv/bin/mypy
+lint: $(VENV)/test.stamp  ## the static checks alone: style, docstrings, types
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/mypy
 
 clean:  ## remove the environments and what the tools left behind
-	@rm -rf .venv .venv-oldest .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache \
+	@rm -rf .venv* .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache \
 	    .ruff_cache build install log *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Installed anew only when what is to be installed has changed.
-.venv/demo.stamp: $(SOURCES)
-	@tools/environment.sh .venv '3.12 3.11 3.13' plot
+$(VENV)/demo.stamp: $(SOURCES)
+	@tools/environment.sh $(VENV) '$(VERSIONS)' plot
 	@touch $@
 
-.venv/test.stamp: $(SOURCES)
-	@tools/environment.sh .venv '3.12 3.11 3.13' plot,test,check
-	@touch .venv/demo.stamp $@
+$(VENV)/test.stamp: $(SOURCES)
+	@tools/environment.sh $(VENV) '$(VERSIONS)' plot,test,check
+	@touch $(VENV)/demo.stamp $@
 
-.venv-oldest/test.stamp: $(SOURCES) test/oldest.txt
-	@tools/environment.sh .venv-oldest '3.12 3.11' plot,test --constraint test/oldest.txt
+$(OLDEST)/test.stamp: $(SOURCES) test/oldest.txt
+	@tools/environment.sh $(OLDEST) '3.12 3.11' plot,test --constraint test/oldest.txt
 	@touch $@
