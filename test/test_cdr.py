@@ -83,10 +83,9 @@ def test_a_text_longer_than_the_message_is_truncated():
 
 
 def test_a_text_that_is_not_utf_8_is_refused():
-    with pytest.raises(MessageError, match='not UTF-8'):
-        cdr.Reader(header(1, 2, 'ab').replace(b'ab', b'\xff\xfe')).values('iII')
-        reader = cdr.Reader(header(1, 2, 'ab').replace(b'ab', b'\xff\xfe'))
-        reader.values('iI')
+    reader = cdr.Reader(header(1, 2, 'ab').replace(b'ab', b'\xff\xfe'))
+    reader.values('iI')
+    with pytest.raises(MessageError, match='text at byte 16 is not UTF-8'):
         reader.string()
 
 

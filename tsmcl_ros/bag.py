@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+import re
 from types import TracebackType
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ from tsmcl_ros.types import BagError
 STORAGES = ('mcap', 'sqlite3')
 
 _SECOND = 1_000_000_000
+_MAX_STAMP = 2**33  # s, what still fits into 64 bits of nanoseconds
 
 
 class Message(NamedTuple):
@@ -69,8 +71,8 @@ class Reader:
             If there is none, or it is empty, damaged, or of an unknown kind.
         """
         self.path = Path(path)
-        _refuse_what_is_no_bag(self.path)
         with _readable(self.path):
+            _refuse_what_is_no_bag(self.path)
             self._bag = rosbag2.Reader(self.path)
             self._bag.open()
         connections = self._bag.connections
@@ -198,10 +200,15 @@ class Writer:
         """
         if name not in self._connections:
             raise BagError(f'{self.path}: topic {name} is not registered')
-        if not 0 <= stamp < 2**33:
-            raise BagError(f'{self.path}: topic {name}: log time {stamp!r} s is not allowed')
+        if not 0 <= stamp < _MAX_STAMP:
+            raise BagError(
+                f'{self.path}: topic {name}: log time {stamp!r} s is not allowed, must be at least '
+                f'0 and below {_MAX_STAMP}'
+            )
+        whole, part = divmod(stamp, 1)
+        nanoseconds = int(whole) * _SECOND + round(part * _SECOND)
         with _writable(self.path):
-            self._bag.write(self._connections[name], round(stamp * _SECOND), data)
+            self._bag.write(self._connections[name], nanoseconds, data)
 
     def close(self) -> None:
         """Complete the bag; closing it again does nothing."""
@@ -245,12 +252,35 @@ def _refuse_what_is_no_bag(path: Path) -> None:
     if not path.exists():
         raise BagError(f'{path}: there is no such bag')
     if not path.is_dir():
-        raise BagError(f'{path}: is a file, a bag is named by its folder {path.parent}')
+        raise BagError(f'{path}: is a file; a bag is named by its folder, {path.parent}')
     if not any(path.iterdir()):
-        raise BagError(f'{path}: is an empty folder, a bag has a metadata.yaml')
-    if not (path / 'metadata.yaml').is_file():
+        raise BagError(f'{path}: is an empty folder; a bag has a metadata.yaml')
+    metadata = path / 'metadata.yaml'
+    if not metadata.is_file():
         raise BagError(
             f'{path}: is not a bag, or its recording was cut short: it has no metadata.yaml'
+        )
+    storage = re.search(r'storage_identifier:\s*["\']?(\w+)', metadata.read_text('utf-8'))
+    if storage and storage[1] not in STORAGES:
+        raise BagError(
+            f'{path}: storage {storage[1]!r} is not supported, must be one of '
+            f'{", ".join(STORAGES)}'
+        )
+    for database in path.glob('*.db3'):
+        _refuse_cut_database(database)
+
+
+def _refuse_cut_database(path: Path) -> None:
+    """Refuse an SQLite file that lacks its end: SQLite takes a page's missing bytes for zeros."""
+    with path.open('rb') as file:
+        header = file.read(100)
+    page_size, pages = int.from_bytes(header[16:18], 'big'), int.from_bytes(header[28:32], 'big')
+    size = (page_size if page_size > 1 else 2**16) * pages
+    # The number of pages counts where the header's two change counters agree.
+    if header[24:28] == header[92:96] and path.stat().st_size < size:
+        raise BagError(
+            f'{path}: cannot be read, it is truncated or damaged: has {path.stat().st_size} '
+            f'bytes, must have {size}'
         )
 
 
@@ -261,6 +291,8 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except BagError:
         raise
+    except OSError as error:
+        raise BagError(f'{path}: cannot be read: {error.strerror or error}') from error
     except Exception as error:
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise BagError(f'{path}: cannot be read, it is truncated or damaged: {reason}') from error

@@ -365,9 +365,8 @@ def _split(stamp: float) -> tuple[int, int]:
         raise MessageError(
             f'stamp {stamp!r} is not allowed, must be at least 0 and below {_MAX_STAMP} s'
         )
-    whole = math.floor(stamp)
-    nanoseconds = round((stamp - whole) * _SECOND)
-    return divmod(whole * _SECOND + nanoseconds, _SECOND)
+    whole, part = divmod(stamp, 1)
+    return divmod(int(whole) * _SECOND + round(part * _SECOND), _SECOND)
 
 
 def _join(seconds: int, nanoseconds: int) -> float:
