@@ -198,3 +198,50 @@ def run(start: Callable[..., Executable]) -> Callable[..., tuple[int, str]]:
         return executable.wait(timeout), executable.output
 
     return run_one
+
+
+@pytest.fixture(scope='session')
+def record() -> Callable[..., Path]:
+    """
+    Return a function that writes a bag.
+
+    `record(path, {'/veh_0/pose': trajectory, '/veh_0/beacons': [observation]})` records
+    trajectories as poses if they have a covariance, else as odometry, each message under its own
+    stamp.
+    """
+    import numpy as np
+    from tsmcl_ros import messages
+    from tsmcl_ros.bag import Writer
+    from tsmcl_ros.types import Odometry, Trajectory
+
+    def rows_of(content: object) -> list[tuple[float, bytes]]:
+        if not isinstance(content, Trajectory):
+            assert isinstance(content, list)
+            return [(scan.stamp, messages.encode_beacons(scan, 'map')[0]) for scan in content]
+        if content.covariance is None:
+            return [
+                (stamp, messages.encode_odometry(
+                    Odometry(stamp, np.append(position, 0.0)[:3], yaw), 'map', 'base_link'))
+                for stamp, position, yaw in zip(
+                    content.stamp, content.position, content.yaw, strict=True)
+            ]
+        return [
+            (stamp, messages.encode_pose(stamp, 'map', position, covariance, yaw, 0.1))
+            for stamp, position, covariance, yaw in zip(
+                content.stamp, content.position, content.covariance, content.yaw, strict=True)
+        ]
+
+    def record_one(path: Path, topics: dict[str, object]) -> Path:
+        rows: list[tuple[float, str, bytes]] = []
+        with Writer(path) as bag:
+            for topic, content in topics.items():
+                kind = messages.POINT_CLOUD
+                if isinstance(content, Trajectory):
+                    kind = messages.ODOMETRY if content.covariance is None else messages.POSE
+                bag.topic(topic, kind)
+                rows += [(stamp, topic, data) for stamp, data in rows_of(content)]
+            for stamp, topic, data in sorted(rows):
+                bag.write(topic, stamp, data)
+        return path
+
+    return record_one
