@@ -80,7 +80,7 @@ def test_a_bag_can_be_read_twice_and_closed_twice(bag):
 
 
 def test_reading_streams(tmp_path):
-    path = write(tmp_path / 'bag', count=20000)
+    path = write(tmp_path / 'bag', count=3000)
     with Reader(path) as reader:
         first = next(iter(reader.messages(['/odom'])))
         assert first.stamp == 10.0
@@ -263,7 +263,7 @@ def test_a_truncated_bag_is_refused_wherever_it_was_cut(tmp_path, storage):
     bag = write(tmp_path / 'bag', storage, count=200)
     path = storage_of(bag)
     whole = path.read_bytes()
-    for size in [0, 1, 7, 8, 30, 100, *range(1000, len(whole), len(whole) // 25),
+    for size in [0, 1, 7, 8, 30, 100, *range(1000, len(whole), len(whole) // 10),
                  len(whole) - 100, len(whole) - 1]:
         path.write_bytes(whole[:size])
         assert 'cannot be read, it is truncated or damaged: ' in refusal(bag)
@@ -275,7 +275,7 @@ def test_damage_anywhere_raises_a_bag_error_at_most(tmp_path, storage):
     path = storage_of(bag)
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(25):
         damaged = bytearray(whole)
         start = rng.integers(len(whole))
         damaged[start:start + 16] = rng.bytes(len(damaged[start:start + 16]))

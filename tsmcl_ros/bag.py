@@ -202,8 +202,8 @@ class Writer:
             raise BagError(f'{self.path}: topic {name} is not registered')
         if not 0 <= stamp < _MAX_STAMP:
             raise BagError(
-                f'{self.path}: topic {name}: log time {stamp!r} s is not allowed, must be at least '
-                f'0 and below {_MAX_STAMP}'
+                f'{self.path}: topic {name}: log time {stamp!r} s is not allowed, must be at '
+                f'least 0 and below {_MAX_STAMP}'
             )
         whole, part = divmod(stamp, 1)
         nanoseconds = int(whole) * _SECOND + round(part * _SECOND)

@@ -208,7 +208,8 @@ _ANCHORS = (
 )
 _BEACONS = (
     _T, replace(_ANCHORS[0], name='anchor'),
-    _Column('range', low=0, unknown=math.nan), _Column('rssi', unknown=math.nan),
+    _Column('range', low=0, high=1e6, unknown=math.nan),
+    _Column('rssi', low=-1000, high=1000, unknown=math.nan),
 )
 _ODOMETRY = (_T, _X, _Y, _Column('yaw'))
 _TRUTH = (_T, _X, _Y, _Column('z', unknown=0.0), _Column('yaw', unknown=math.nan))

@@ -1,0 +1,80 @@
+"""How scripts end."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+from tsmcl_ros.bag import Reader
+from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.types import BagError, ConfigError
+
+RECORDING = """
+import sys, time
+from tsmcl_ros import messages
+from tsmcl_ros.bag import Writer
+from tsmcl_ros.scripts.cli import run_script
+
+def record(arguments):
+    with Writer(arguments[0]) as bag:
+        bag.topic('/clock', messages.CLOCK)
+        for stamp in range(10**9):
+            bag.write('/clock', stamp, messages.encode_clock(stamp))
+            if stamp == 1000:
+                print('recording', flush=True)
+
+sys.exit(run_script(record, sys.argv[1:]))
+"""
+
+
+def test_a_script_that_ends_well_ends_with_0():
+    assert run_script(lambda arguments: None, []) == 0
+
+
+def test_a_script_may_say_its_exit_code():
+    assert run_script(lambda arguments: len(arguments or ()), ['a', 'b', 'c']) == 3
+
+
+@pytest.mark.parametrize(('error', 'line'), [
+    (BagError('x: there is no such bag'), 'error: x: there is no such bag\n'),
+    (ConfigError('two\nlines'), 'error: two lines\n'),
+    (PermissionError(13, 'Permission denied', 'report.html'),
+     'error: report.html: Permission denied\n'),
+    (OSError(28, 'No space left on device'), 'error: No space left on device\n'),
+])
+def test_an_error_of_the_user_is_one_line_and_ends_with_1(error, line, capsys):
+    def fail(arguments):
+        raise error
+
+    assert run_script(fail, []) == 1
+    assert capsys.readouterr().err == line
+
+
+def test_an_error_of_the_program_is_not_hidden():
+    def fail(arguments):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run_script(fail, [])
+
+
+def test_signal_handlers_are_put_back():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    run_script(lambda arguments: None, [])
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_script_with_0_and_its_bag_is_complete(tmp_path, number):
+    process = subprocess.Popen(
+        [sys.executable, '-c', RECORDING, str(tmp_path / 'bag')],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == 'recording\n'
+    process.send_signal(number)
+    process.send_signal(number)
+    output, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (0, '')
+    with Reader(tmp_path / 'bag') as reader:
+        stamps = [one.stamp for one in reader.messages()]
+    assert len(stamps) > 1000
+    assert stamps == list(range(len(stamps)))
