@@ -18,7 +18,7 @@ class CarConfig(Config):
     """Parameters of a test."""
 
     speed: float = param(1.0, 'how fast', unit='m/s', low=0, high=5)
-    wheels: int = param(4, 'how many', low=1, read_only=True)
+    wheels: int = param(4, 'how many', low=1)
     colour: str = param('red', 'of the roof', choices=('red', 'blue'))
     passengers: tuple[str, ...] = param((), 'who is in')
 
@@ -30,6 +30,7 @@ class CarConfig(Config):
 class Car(Node):
     default_name = 'car'
     configs = (CarConfig,)
+    adjustable = ('speed', 'colour')
 
 
 @contextmanager
@@ -79,7 +80,7 @@ def test_parameter_files_are_read(ros: Ros, tmp_path) -> None:
     ('speed:=fast', "speed: 'fast' is not allowed"),
     ('colour:=green', "colour: 'green' is not allowed, must be one of red, blue"),
     ('passengers:=[1, 2]', 'passengers: (1, 2) is not allowed, must be a list of texts'),
-    ('sped:=1.0', "car: unknown parameter 'sped', did you mean speed?"),
+    ('sped:=1.0', "--ros-args: unknown parameter 'sped', did you mean speed?"),
 ])
 def test_an_override_that_is_not_allowed_is_refused_with_what_is(
     ros: Ros, override: str, complaint: str,

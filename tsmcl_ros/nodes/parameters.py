@@ -24,12 +24,13 @@ _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 def declare(
     node: Node, overrides: Mapping[str, RosParameter], configs: Sequence[type[Config]],
+    adjustable: Sequence[str] = (),
 ) -> dict[str, Any]:
     """
     Declare the parameters of some configs on a node, and return their values.
 
-    The returned dict is kept up to date when a parameter that is not read-only is set, after the
-    configs have accepted the new value.
+    The returned dict is kept up to date when an adjustable parameter is set, after the configs
+    have accepted the new value.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ def declare(
         What `-p` and `--params-file` gave the node, by name.
     configs
         Where the parameters come from.
+    adjustable
+        Names of those that can be set while the node runs; the others are read-only.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def declare(
         If an override has no parameter, or its value is not allowed.
     """
     refuse_unknown(
-        (name for name in overrides if not name.startswith(_OF_ROS)), configs, node.get_name(),
+        (name for name in overrides if not name.startswith(_OF_ROS)), configs, '--ros-args',
     )
     known = {item.name: item for config in configs for item in parameters(config)}
     values = {
@@ -61,7 +64,8 @@ def declare(
     _check(configs, values)
     for name, item in known.items():
         node.declare_parameter(
-            name, _to_ros(values[name]), _descriptor(item), ignore_override=True,
+            name, _to_ros(values[name]), _descriptor(item, name in adjustable),
+            ignore_override=True,
         )
 
     def refuse(changes: list[RosParameter]) -> SetParametersResult:
@@ -110,12 +114,12 @@ def _check(configs: Sequence[type[Config]], values: Mapping[str, Any]) -> None:
         build(config, values)
 
 
-def _descriptor(item: Parameter) -> ParameterDescriptor:
+def _descriptor(item: Parameter, adjustable: bool) -> ParameterDescriptor:
     unit = f' [{item.unit}]' if item.unit else ''
     descriptor = ParameterDescriptor(
         description=f'{item.doc}{unit}',
         additional_constraints=item.allowed,
-        read_only=item.read_only,
+        read_only=not adjustable,
     )
     # ROS knows inclusive bounds only; the config refuses the rest.
     low = item.low if item.low is not None else item.above

@@ -14,7 +14,7 @@ Three things are done otherwise than rclpy's tutorials do them, all for a reason
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -37,7 +37,7 @@ from rclpy.utilities import remove_ros_args
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, parameters
 from tsmcl_ros.nodes.parameters import declare
-from tsmcl_ros.types import MessageError, TsmclError
+from tsmcl_ros.types import ConfigError, MessageError, TsmclError
 
 # Best effort, as drivers publish, but deep: all vehicles' messages of an epoch come at once, and
 # none must be lost while the receiver computes. Memory is only taken for what waits.
@@ -45,17 +45,21 @@ SENSOR_DATA = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000,
 )
 RELIABLE = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=10,
+    reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000,
 )
 # Reliable and transient local: who comes later still gets the last message.
 LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL,
     history=HistoryPolicy.KEEP_LAST, depth=1,
 )
+# For subscriptions: each of many publishers may have latched its message.
+LATCHED_INPUT = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST, depth=1000,
+)
 
 _PATIENCE = 0.1  # s, longest wait before a signal is looked for
-_SECOND = 1_000_000_000
-_ROUNDING = 1000  # ns, more than a stamp of today loses as a float
+_ROUNDING = 1e-6  # s, more than a stamp of today loses as a float
 
 # Signals come to a process, and not to one of its objects.
 _asked_to_stop = threading.Event()
@@ -69,8 +73,9 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
     """
     A node that takes and gives serialized messages.
 
-    Subclasses say their `default_name` and `configs`, set up in `__init__`, and may override
-    `run` and `close`.
+    Subclasses say their `default_name`, the `configs` that their parameters come from, and which
+    of these are `adjustable` while they run; they set up in `__init__`, and may override `run`
+    and `close`.
 
     Attributes
     ----------
@@ -80,14 +85,18 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
 
     default_name: ClassVar[str]
     configs: ClassVar[tuple[type[Config], ...]] = ()
+    adjustable: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self) -> None:
         super().__init__(self.default_name)
         # rclpy offers no other way to see overrides of parameters that nobody has declared.
-        self.settings = declare(self, self._parameter_overrides, self.configs)
+        self.settings = declare(
+            self, self._parameter_overrides, self.configs, self.adjustable,
+        )
         self._events = EventsExecutor(context=self.context)
         self._events.add_node(self)
         self._rejections = Rejections(self.get_logger().error)
+        self._failure: TsmclError | None = None
         self._recurring: list[_Recurring] = []
         self._follows_clock = self.get_parameter('use_sim_time').value is True
         self._now = math.nan
@@ -113,6 +122,9 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
                 heed(data)
             except MessageError as error:
                 self._rejections.add(name, error)
+            except TsmclError as error:
+                # For `spin` to raise: the executor would write a traceback first.
+                self._failure = error
 
         subscription = self.create_subscription(message_class(kind), topic, receive, qos, raw=True)
         name = subscription.topic_name
@@ -127,7 +139,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
 
         Of several that are passed at once only the last counts.
         """
-        recurring = _Recurring(round(period * _SECOND), act)
+        recurring = _Recurring(period, act)
         self._recurring.append(recurring)
         if not self._follows_clock:
             recurring.begin(time.time())
@@ -149,6 +161,8 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         ------
         Stopped
             If the process was asked to end.
+        TsmclError
+            If a callback raised one that is not a mere MessageError.
         """
         end = time.monotonic() + timeout
         while not until():
@@ -158,6 +172,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
                 now = time.time()
                 wait = min([wait, *(recurring.next - now for recurring in self._recurring)])
             self._events.spin_once(timeout_sec=max(wait, 0.0))
+            self._raise_failure()
             if _asked_to_stop.is_set():
                 raise Stopped
             if not self._follows_clock:
@@ -166,6 +181,16 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
             if left <= 0:
                 return until()
         return True
+
+    def drain(self, quiet: float, timeout: float) -> None:
+        """Handle what has arrived already, until nothing came for `quiet` [s]; signals wait."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            begin = time.monotonic()
+            self._events.spin_once(timeout_sec=quiet)
+            self._raise_failure()
+            if time.monotonic() - begin >= quiet:
+                return
 
     def run(self) -> None:
         """Do what the node is for; here, handle messages for ever."""
@@ -176,6 +201,11 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         self._rejections.report(at_once=True)
         self._events.shutdown()
         self.destroy_node()
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
 
     def _take_clock(self, data: bytes) -> None:
         self._now = messages.decode_clock(data)
@@ -227,18 +257,36 @@ class Rejections:
                 del self._pending[topic]
 
 
+class Pace:
+    """Keeps what a node does in time with the wall clock."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._due = time.monotonic()
+
+    def wait(self, seconds: float) -> None:
+        """
+        Spin until so many seconds after the last wait was due to end.
+
+        A delay is made up for, unless it grows beyond a second.
+        """
+        now = time.monotonic()
+        self._due = max(self._due + seconds, now - 1.0)
+        self._node.spin(timeout=self._due - now)
+
+
 @dataclass
 class _Recurring:
-    """Meets each multiple of a period once."""
+    """Meets each multiple of a period [s] once."""
 
-    period: int  # ns
+    period: float
     act: Callable[[float], None]
     count: int | None = None
 
     @property
     def next(self) -> float:
         """Stamp of the next multiple [s]."""
-        return 0.0 if self.count is None else (self.count + 1) * self.period / _SECOND
+        return 0.0 if self.count is None else (self.count + 1) * self.period
 
     def begin(self, now: float) -> None:
         """Wait for the multiple after this time."""
@@ -248,14 +296,44 @@ class _Recurring:
         """Act on the last multiple that has been reached, if it is not the one acted on."""
         count = self._latest(now)
         # The first time seen may lie anywhere between two multiples: the past one is gone.
-        late = self.count is None and round(now * _SECOND) - count * self.period > _ROUNDING
+        late = self.count is None and now - count * self.period > _ROUNDING
         if count != self.count:
             self.count = count
             if not late:
-                self.act(count * self.period / _SECOND)
+                self.act(count * self.period)
 
     def _latest(self, now: float) -> int:
-        return (round(now * _SECOND) + _ROUNDING) // self.period
+        return math.floor((now + _ROUNDING) / self.period)
+
+
+def topic_filter(parameter: str, patterns: Iterable[str]) -> Callable[[str], bool]:
+    """
+    Return what tells whether a topic is named by one of the patterns.
+
+    Parameters
+    ----------
+    parameter
+        Where they come from, for the error.
+    patterns
+        Topics, or regular expressions that match whole ones; the leading slash may be left out.
+
+    Raises
+    ------
+    ConfigError
+        If one is no regular expression.
+    """
+    compiled = []
+    for pattern in patterns:
+        try:
+            compiled.append(re.compile(pattern))
+        except re.error as error:
+            raise ConfigError(
+                f'{parameter}: {pattern!r} is not allowed, must be a topic or a regular '
+                f'expression: {error}'
+            ) from None
+    return lambda topic: any(
+        expression.fullmatch(topic) or expression.fullmatch(topic, 1) for expression in compiled
+    )
 
 
 def message_class(kind: str) -> Any:

@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import signal
+from typing import Any
+
+import numpy as np
+import pytest
+from tsmcl_ros import messages
+from tsmcl_ros.nodes.runtime import LATCHED, main, SENSOR_DATA
+from tsmcl_ros.nodes.simulator import Simulator
+from tsmcl_ros.types import Observation
+from tsmcl_ros.world import anchor_table, make_world
+
+Start = Callable[..., Any]
+SMALL = {'vehicles': 3, 'anchor_rows': 2, 'anchor_columns': 2, 'area_x': 2000.0, 'area_y': 2000.0,
+         'radio_range': 900.0, 'measure_range': True, 'drop_rate': 0.1, 'beacon_period': 0.3}
+ANCHORS = ('anchor_rows', 'anchor_columns', 'beacon_period')
+
+
+def overrides(**settings: object) -> list[str]:
+    return ['--ros-args', *(
+        word for name, value in settings.items()
+        for word in ('-p', f'{name}:={str(value).lower()}')
+    )]
+
+
+def collect(probe: Any, vehicles: int) -> dict[str, list[bytes]]:
+    """Return lists that fill with what the simulator says of each vehicle."""
+    return {
+        topic: probe.collect(topic, kind)
+        for i in range(vehicles)
+        for topic, kind in ((f'/veh_{i}/ground_truth', messages.ODOMETRY),
+                            (f'/veh_{i}/beacons', messages.POINT_CLOUD),
+                            (f'/veh_{i}/odom', messages.ODOMETRY))
+    }
+
+
+def simulate(probe: Any, start: Start, epochs: int, rate: float) -> dict[str, list[bytes]]:
+    """Return what anchors and a simulator with the small world's settings give over DDS."""
+    received = collect(probe, SMALL['vehicles'])
+    listeners = probe.count_subscribers('/veh_0/odom')
+    anchors = start('nodes.anchor', *overrides(
+        use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
+    simulator = start('nodes.simulator', *overrides(
+        seed=5, wait_for=listeners, rate=rate, duration=epochs * SMALL['beacon_period'],
+        **{name: value for name, value in SMALL.items() if name not in ANCHORS[:2]}))
+    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
+    assert simulator.wait() == 0
+    probe.expect(lambda: all(len(found) == epochs for found in received.values()),
+                 f'{epochs} messages on each topic')
+    assert anchors.stop() == 0
+    return received
+
+
+def test_vehicles_move_and_hear_as_in_process_for_the_same_seed(
+    probe: Any, start: Start,
+) -> None:
+    epochs = 20
+    received = simulate(probe, start, epochs, rate=20)
+    world = make_world(SMALL, np.random.default_rng(5))
+    for k in range(epochs):
+        epoch = world.step()
+        assert epoch.stamp == (k + 1) * SMALL['beacon_period']
+        for i in range(SMALL['vehicles']):
+            truth = messages.decode_odometry(received[f'/veh_{i}/ground_truth'][k])
+            odometry = messages.decode_odometry(received[f'/veh_{i}/odom'][k])
+            scan, frame = messages.decode_beacons(received[f'/veh_{i}/beacons'][k])
+            expected = epoch.observation.vehicle(i)
+            assert frame == 'map'
+            for part in (truth, odometry, scan):
+                assert part.stamp == pytest.approx(epoch.stamp, abs=1e-9)
+            np.testing.assert_array_equal(truth.position[:2], epoch.position[i])
+            np.testing.assert_array_equal(odometry.position[:2], epoch.odom_position[i])
+            np.testing.assert_allclose([truth.yaw, odometry.yaw],
+                                       [epoch.yaw[i], epoch.odom_yaw[i]], atol=1e-9)
+            np.testing.assert_array_equal(scan.sender, expected.sender)
+            np.testing.assert_array_equal(scan.position[..., :2], expected.position)
+            np.testing.assert_array_equal(scan.range, expected.range)
+
+
+def test_a_simulation_is_the_same_at_another_rate(probe: Any, start: Start) -> None:
+    first = simulate(probe, start, epochs=10, rate=1000)
+    earlier = {topic: list(found) for topic, found in first.items()}
+    again = simulate(probe, start, epochs=10, rate=10)
+    assert again == earlier
+
+
+def test_ground_truth_tells_the_velocity_ahead(probe: Any, start: Start) -> None:
+    from nav_msgs.msg import Odometry
+    from rclpy.serialization import deserialize_message
+
+    truth = simulate(probe, start, epochs=2, rate=100)['/veh_0/ground_truth']
+    message = deserialize_message(truth[0], Odometry)
+    world = make_world(SMALL, np.random.default_rng(5))
+    velocity = world.step().velocity[0]
+    assert message.twist.twist.linear.x == pytest.approx(np.linalg.norm(velocity), rel=1e-6)
+    assert message.twist.twist.linear.y == pytest.approx(0, abs=1e-6)
+    assert (message.header.frame_id, message.child_frame_id) == ('map', 'veh_0/base_link')
+
+
+def test_an_anchor_that_is_silent_is_reported_once_and_costs_one_wait(
+    probe: Any, start: Start,
+) -> None:
+    anchors = anchor_table(np.array([[100.0, 100.0], [300.0, 100.0]]))
+    received = collect(probe, 1)
+    anchor_map = probe.talk('/anchor_map', messages.POINT_CLOUD, LATCHED)
+    anchor_map.publish(messages.encode_beacons(anchors, 'map')[0])
+    air = probe.talk('/beacons', messages.POINT_CLOUD, SENSOR_DATA)
+
+    stamps: set[float] = set()
+
+    def transmit(data: bytes) -> None:
+        stamp = messages.decode_clock(data)
+        if stamp in stamps:
+            return
+        stamps.add(stamp)
+        beacon = Observation.empty(1, 1, 2, stamp)
+        beacon.sender[0, 0], beacon.position[0, 0] = 1, anchors.position[0, 1]
+        air.publish(messages.encode_beacons(beacon, 'map')[0])
+
+    probe.listen('/clock', messages.CLOCK, transmit, SENSOR_DATA)
+    simulator = start('nodes.simulator', *overrides(
+        vehicles=1, area_x=400.0, area_y=200.0, duration=5, rate=100, wait_for=1,
+        beacon_timeout=2.0))
+    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
+    assert simulator.wait() == 0
+    probe.expect(lambda: len(received['/veh_0/beacons']) == 5, 'five scans')
+    assert simulator.output.count('anchors 0 did not transmit at 1 s') == 1
+    assert simulator.output.count('did not transmit') == 1
+    scans = [messages.decode_beacons(data)[0] for data in received['/veh_0/beacons']]
+    assert [scan.sender.tolist() for scan in scans] == [[[1]]] * 5
+
+
+def test_malformed_beacons_are_reported_and_the_simulation_goes_on(
+    probe: Any, start: Start,
+) -> None:
+    simulator = start('nodes.simulator', *overrides(vehicles=1))
+    air = probe.talk('/beacons', messages.POINT_CLOUD, SENSOR_DATA)
+    probe.expect(lambda: air.get_subscription_count() == 1, 'the simulator to listen')
+    air.publish(b'\0\1\0\0broken')
+    simulator.wait_for('/beacons: message rejected: ')
+    assert '[ERROR]' in simulator.output
+    assert simulator.stop(signal.SIGTERM) == 0
+
+
+def test_cars_of_a_sumo_trace_drive_as_recorded(
+    probe: Any, start: Start, shared_data: Path,
+) -> None:
+    from tsmcl_ros.fcd import read_fcd
+
+    path = shared_data / 'sumo_grid40' / 'fcd40.xml.gz'
+    received = collect(probe, 40)
+    start('nodes.anchor', *overrides(use_sim_time=True))
+    simulator = start('nodes.simulator', *overrides(
+        mobility='fcd', trace=path, vehicles=40, duration=3, rate=100, wait_for=1))
+    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
+    assert simulator.wait() == 0
+    trace = read_fcd(path, 40, 40.0)
+    for i in range(40):
+        topic = f'/veh_{i}/ground_truth'
+        probe.expect(lambda topic=topic: len(received[topic]) == 3, topic)
+        truth = messages.decode_odometry(received[topic][2])
+        at = int(np.searchsorted(trace.stamp, 43.0))
+        np.testing.assert_allclose(truth.position[:2], trace.position[at, i], atol=1e-6)
+
+
+@pytest.mark.parametrize(('arguments', 'complaint'), [
+    (['mobility:=teleport'], "mobility: 'teleport' is not allowed, must be one of "),
+    (['radio_range:=0'], 'radio_range: 0.0 is not allowed, must be a number above 0 m'),
+    (['mobility:=fcd', 'trace:=nowhere.xml'], 'nowhere.xml: '),
+    (['min_speed:=60.0'], 'min_speed: 60.0 is not allowed, must be at most max_speed'),
+])
+def test_a_parameter_that_is_not_allowed_is_one_line_and_exit_code_1(
+    capfd: pytest.CaptureFixture[str], arguments: list[str], complaint: str,
+) -> None:
+    given = [word for override in arguments for word in ('-p', override)]
+    assert main(Simulator, ['simulator', '--ros-args', *given]) == 1
+    error = capfd.readouterr().err
+    assert error.startswith(f'simulator: {complaint}')
+    assert len(error.splitlines()) == 1
