@@ -17,6 +17,7 @@ MODEL = BASE | {'model'}
 WORLD = MODEL | {'fcd', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
 RECORDS = {'types', 'cdr', 'messages', 'bag', 'csv_log'}
+LOWER = WORLD | LOCALIZER | RECORDS | {'endpoint'}
 OWN = {
     'types': set(),
     'config': {'types'},
@@ -29,9 +30,10 @@ OWN = {
     'localizer': LOCALIZER,
     'fcd': MODEL,
     'world': WORLD,
-    'evaluation': WORLD | LOCALIZER | RECORDS,
-    'nodes': WORLD | LOCALIZER | RECORDS | {'evaluation', 'scripts'},
-    'scripts': WORLD | LOCALIZER | RECORDS | {'evaluation', 'nodes'},
+    'endpoint': LOCALIZER | RECORDS,
+    'evaluation': LOWER,
+    'nodes': LOWER | {'evaluation', 'scripts'},
+    'scripts': LOWER | {'evaluation', 'nodes'},
 }
 # ... and from elsewhere, besides the standard library. A module's own line precedes its part's.
 ROS = {
@@ -52,6 +54,7 @@ OTHERS = {
     'localizer': {'numpy'},
     'fcd': {'numpy'},
     'world': {'numpy', 'scipy'},
+    'endpoint': {'numpy'},
     'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},
     'evaluation.plots': {'numpy', 'matplotlib'},
     'nodes': {'numpy', 'tqdm', 'yaml', *ROS},
