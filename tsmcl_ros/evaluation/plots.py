@@ -34,6 +34,7 @@ DISTINCT = len(COLORS)
 DISKS = 16
 # Tracks of more points than this are drawn as an image, which keeps the file small.
 VECTOR = 40_000
+# After this many usual periods without an estimate a line breaks and a value is stale.
 GAP = 5.0
 
 
@@ -300,7 +301,7 @@ def _broken(stamp: Array, values: Array) -> Array:
     if not steps.size:
         return values
     shown = values.copy()
-    shown[:-1][steps > max(GAP, GAP * float(np.median(steps)))] = np.nan
+    shown[:-1][steps > GAP * np.median(steps)] = np.nan
     return shown
 
 
