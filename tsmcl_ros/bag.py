@@ -291,8 +291,8 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except BagError:
         raise
-    except OSError as error:
-        raise BagError(f'{path}: cannot be read: {error.strerror or error}') from error
+    except PermissionError as error:
+        raise BagError(f'{path}: cannot be read: {error.strerror}') from error
     except Exception as error:
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise BagError(f'{path}: cannot be read, it is truncated or damaged: {reason}') from error
