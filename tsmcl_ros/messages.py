@@ -102,7 +102,8 @@ def decode_beacons(data: bytes) -> tuple[Observation, str]:
     Return what one vehicle heard (V = 1, D = 3), and the frame of the positions.
 
     Fields are read by name and offset, in any order and with any padding; beyond x, y, z and id
-    they are optional. An absent or NaN covariance is zero, as of a surveyed anchor.
+    they are optional. An absent or NaN covariance is zero, as of a surveyed anchor. Arrays may be
+    read-only views of the data.
 
     Raises
     ------
@@ -379,12 +380,31 @@ def _join(seconds: int, nanoseconds: int) -> float:
     return (seconds * _SECOND + nanoseconds) / _SECOND
 
 
-def _join_many(seconds: Array, nanoseconds: Array) -> Array:
-    """Return what `_join` returns, bit for bit, of arrays."""
+@contextmanager
+def _naming(number: int) -> Iterator[None]:
+    """Say which of many messages an error is about."""
+    try:
+        yield
+    except MessageError as error:
+        raise MessageError(f'message {number}: {error}') from None
+
+
+def _join_in_order(seconds: Array, nanoseconds: Array) -> Array:
+    """Return what `_join` does, bit for bit, of arrays (T,); refuse stamps that go back."""
     total = seconds * _SECOND + nanoseconds
     # Above 2^53 ns the total is no double any more; there the sum is the nearest one.
-    sums = seconds + nanoseconds / _SECOND
-    return np.asarray(np.where(total < 2**53, total / _SECOND, sums))
+    stamp = np.where(total < 2**53, total / _SECOND, seconds + nanoseconds / _SECOND)
+    impossible = (seconds < 0) | (nanoseconds >= _SECOND)
+    wrong = impossible | (np.diff(stamp, prepend=-np.inf) < 0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        with _naming(at):
+            _join(int(seconds[at]), int(nanoseconds[at]))
+            raise MessageError(
+                f'stamp {stamp[at]:.9f} s goes back, must be at least that of the one before, '
+                f'{stamp[at - 1]:.9f} s'
+            )
+    return stamp
 
 
 def _read_header(reader: cdr.Reader) -> tuple[float, str]:
@@ -401,6 +421,9 @@ def _write_header(writer: cdr.Writer, stamp: float, frame_id: str) -> None:
 
 _ZEROS = (0.0,) * 36
 _TWIST = 6 + 36  # doubles of a TwistWithCovariance
+_STAMPED_POSE = np.dtype([
+    ('seconds', '<i4'), ('nanoseconds', '<u4'), ('doubles', '<f8', (43,)),
+])
 _ROUNDING = 1e-5  # of a correlation; those of FLOAT32 variances are off by 1e-6
 
 
@@ -461,53 +484,43 @@ def _decode_trajectory(
     """
     Return the trajectory of messages of one layout, and the (T, 6, 6) covariances of its poses.
 
-    Messages hold a header, texts (`strings` with frame_id), a pose with its covariance, and then
-    a `tail` of doubles. As the texts are the same in all, so are the offsets: one view a length,
-    and lengths differ in what pads the end at most.
+    Messages hold a stamp, texts (`strings` of them), a pose with its covariance, and a `tail` of
+    doubles. As all have the same texts, they differ in what pads their ends at most.
     """
-    stamps, numbers = [np.empty(0)], [np.empty((0, 43))]
+    blocks = [np.empty(0, _STAMPED_POSE)]
     texts = None
     done = 0
     for _, group in groupby(messages, key=len):
         block = list(group)
         with _naming(done):
             reader, found = _read_texts(block[0], strings)
-            first = reader.align(8)
+            start = reader.align(8)
             reader.skip(8 * (43 + tail))
             reader.finish()
         texts = texts or found
-        raw = np.frombuffer(b''.join(block), np.uint8).reshape(len(block), -1)
-        fixed = [0, 1, *(at for at in range(12, first) if at not in reader.padding)]
-        differs = (raw[:, fixed] != raw[0, fixed]).any(axis=1)
-        if found != texts or differs.any():
-            at = 0 if found != texts else int(np.argmax(differs))
+        data = b''.join(block)
+        raw = np.frombuffer(data, np.uint8).reshape(len(block), -1)
+        fixed = [0, 1, *(at for at in range(12, start) if at not in reader.padding)]
+        differs = (raw[:, fixed] != raw[0, fixed]).any(axis=1) | (found != texts)
+        if differs.any():
+            at = int(np.argmax(differs))
             _refuse_texts(block[at], done + at, strings, texts)
-        seconds = raw[:, 4:8].copy().view('<i4')[:, 0].astype(np.int64)
-        nanoseconds = raw[:, 8:12].copy().view('<u4')[:, 0]
-        impossible = (seconds < 0) | (nanoseconds >= _SECOND)
-        if impossible.any():
-            at = int(np.argmax(impossible))
-            with _naming(done + at):
-                _join(int(seconds[at]), int(nanoseconds[at]))
-        stamps.append(_join_many(seconds, nanoseconds))
-        numbers.append(raw[:, first:first + 8 * 43].copy().view('<f8'))
+        view = np.dtype({
+            'names': ['seconds', 'nanoseconds', 'doubles'],
+            'formats': ['<i4', '<u4', '(43,)<f8'],
+            'offsets': [4, 8, start],
+            'itemsize': len(block[0]),
+        })
+        blocks.append(np.frombuffer(data, view).astype(_STAMPED_POSE))
         done += len(block)
-    stamp, values = np.concatenate(stamps), np.concatenate(numbers)
-    _check_trajectory(stamp, values)
+    rows = np.concatenate(blocks)
+    _check_doubles(rows['doubles'])
+    stamp = _join_in_order(rows['seconds'].astype(np.int64), rows['nanoseconds'])
     new = np.diff(stamp, prepend=-1.0) > 0
-    stamp, values = stamp[new], values[new]
-    covariance = values[:, 7:].reshape(-1, 6, 6)
-    yaw = np.where(covariance[:, 5, 5] >= UNMEASURED, np.nan, _yaw(*values[:, 3:7].T))
-    return Trajectory(stamp, values[:, :3].copy(), yaw), covariance
-
-
-@contextmanager
-def _naming(number: int) -> Iterator[None]:
-    """Say which of many messages an error is about."""
-    try:
-        yield
-    except MessageError as error:
-        raise MessageError(f'message {number}: {error}') from None
+    doubles = rows['doubles'][new]
+    covariance = doubles[:, 7:].reshape(-1, 6, 6)
+    yaw = np.where(covariance[:, 5, 5] >= UNMEASURED, np.nan, _yaw(*doubles[:, 3:7].T))
+    return Trajectory(stamp[new], doubles[:, :3].copy(), yaw), covariance
 
 
 def _read_texts(data: bytes, strings: int) -> tuple[cdr.Reader, list[str]]:
@@ -525,22 +538,16 @@ def _refuse_texts(data: bytes, number: int, strings: int, texts: list[str]) -> N
         )
 
 
-def _check_trajectory(stamp: Array, values: Array) -> None:
+def _check_doubles(doubles: Array) -> None:
+    """Refuse poses (T, 43) with their covariances that cannot be true, naming the first."""
     with np.errstate(over='ignore', invalid='ignore'):
-        length = (values[:, 3:7] ** 2).sum(axis=1)
-    wrong = ~(np.isfinite(values).all(axis=1) & (length > 0) & np.isfinite(length))
+        length = (doubles[:, 3:7] ** 2).sum(axis=1)
+    wrong = ~(np.isfinite(doubles).all(axis=1) & (length > 0) & np.isfinite(length))
     if wrong.any():
         at = int(np.argmax(wrong))
         with _naming(at):
-            _check_pose(values[at, :7].tolist())
+            _check_pose(doubles[at, :7].tolist())
             raise MessageError('pose.covariance is not allowed, must be finite')
-    back = np.diff(stamp, prepend=0.0) < 0
-    if back.any():
-        at = int(np.argmax(back))
-        raise MessageError(
-            f'message {at}: stamp {stamp[at]:.9f} s goes back, must be at least that of the one '
-            f'before, {stamp[at - 1]:.9f} s'
-        )
 
 
 # --- beacon rows -----------------------------------------------------------------------------
@@ -591,8 +598,8 @@ for _name, (_low, _high) in _BOUNDS.items():
 
 def _unify(rows: Array) -> Array:
     """Return rows of any layout as rows of _ROW: a view if they are so already."""
-    if rows.dtype is BEACON:
-        return rows.view(_ROW)
+    if rows.dtype is _ROW:
+        return rows
     table = np.full(len(rows), _UNSAID)
     # A FLOAT64 beyond FLOAT32 becomes infinite, which is refused later.
     with np.errstate(over='ignore'):
@@ -689,7 +696,7 @@ _known_layouts: list[_KnownLayout] = []
 
 def _read_layout(reader: cdr.Reader) -> np.dtype[np.void]:
     """
-    Return the dtype of a cloud's rows: BEACON itself, or the fields of it that are there.
+    Return the dtype of a cloud's rows: _ROW for our own, else those of its fields that are there.
 
     A publisher sends the same layout with every message, at any position as all in it is aligned
     to four bytes: it is parsed once. Bytes of padding are masked, as Fast DDS leaves them unset.
@@ -759,7 +766,7 @@ def _parse_layout(reader: cdr.Reader) -> np.dtype[np.void]:
         'offsets': [offset for offset, _ in found.values()],
         'itemsize': step,
     })
-    return BEACON if layout == BEACON else layout
+    return _ROW if layout == BEACON else layout
 
 
 def _datatype(value: int) -> str:
