@@ -186,10 +186,18 @@ def refuse_unknown(values: Iterable[str], classes: Iterable[type[Config]], sourc
 
 
 def add_arguments(parser: argparse.ArgumentParser, *classes: type[Config]) -> None:
-    """Give the parser one `--option` a parameter; those not given are absent from the result."""
+    """
+    Give the parser one `--option` a parameter; those not given are absent from the result.
+
+    A parameter that several classes inherit becomes an option once.
+    """
+    seen: set[str] = set()
     for cls in classes:
         group = parser.add_argument_group(cls.__name__.removesuffix('Config').lower())
         for item in parameters(cls):
+            if item.name in seen:
+                continue
+            seen.add(item.name)
             unit = f' [{item.unit}]' if item.unit else ''
             group.add_argument(
                 f'--{item.name.replace("_", "-")}',

@@ -234,8 +234,8 @@ class Estimate:
         [m]; NaN before the first beacon.
     covariance : (V, D, D) float64
         [m^2].
-    yaw, yaw_variance : (V,) float64
-        Rotation from the odometry frame to the map [rad, rad^2]; NaN where it is not estimated.
+    rotation, rotation_variance : (V,) float64
+        Rotation from the odometry frame to the map [rad, rad^2]; NaN where there is none.
     ess : (V,) float64
         Effective number of particles of the weighted cloud, before resampling.
     particles : int
@@ -246,18 +246,29 @@ class Estimate:
         References heard in this epoch.
     reinitialized : (V,) bool
         True where no particle explained the observation and the cloud was drawn anew.
+    odometry : (V, 4) float64 or None
+        Odometry position [m] and yaw [rad] at the stamp, NaN where there is none; the localizer
+        adds it.
     """
 
     stamp: float
     mean: Array
     covariance: Array
-    yaw: Array
-    yaw_variance: Array
+    rotation: Array
+    rotation_variance: Array
     ess: Array
     particles: int
     log_likelihood: Array
     heard: Array
     reinitialized: Array
+    odometry: Array | None = None
+
+    @property
+    def yaw(self) -> Array:
+        """(V,) float64: yaw of the vehicles in the map [rad], NaN where unknown."""
+        if self.odometry is None:
+            return np.full(len(self.mean), np.nan)
+        return (self.rotation + self.odometry[:, 3] + np.pi) % (2 * np.pi) - np.pi
 
 
 @dataclass(frozen=True, eq=False)

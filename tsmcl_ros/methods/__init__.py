@@ -1,7 +1,10 @@
 """The localization methods by the names that users give."""
 
+from typing import Any
+
 from tsmcl_ros.methods.grid import Grid
 from tsmcl_ros.methods.mcl import Mcl
 from tsmcl_ros.methods.ts_mcl import TsMcl
 
-METHODS = {'ts_mcl': TsMcl, 'mcl': Mcl, 'grid': Grid}
+# Each is an Estimator with a Config of its own, which is what keeps a common type from them.
+METHODS: dict[str, Any] = {'ts_mcl': TsMcl, 'mcl': Mcl, 'grid': Grid}

@@ -132,8 +132,8 @@ class Grid:
             ess = 1 / np.square(weights).sum(axis=1)
             mean[~self.placed] = covariance[~self.placed] = np.nan
         return Estimate(
-            stamp=observation.stamp, mean=mean, covariance=covariance, yaw=unknown,
-            yaw_variance=unknown, ess=ess, particles=len(self.cells),
+            stamp=observation.stamp, mean=mean, covariance=covariance,
+            rotation=unknown, rotation_variance=unknown, ess=ess, particles=len(self.cells),
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan), heard=heard,
             reinitialized=excluded)
 
@@ -208,7 +208,8 @@ def hat_kernel(offset: Array, std: Array) -> Array:
     std = np.maximum(std, 1e-6)
 
     def ramp(x: Array) -> Array:
-        return x * ndtr(x / std) + std * np.exp(-0.5 * (x / std) ** 2) / np.sqrt(2 * np.pi)
+        density = np.exp(-0.5 * (x / std) ** 2) / np.sqrt(2 * np.pi)
+        return np.asarray(x * ndtr(x / std) + std * density)
 
     return np.asarray(ramp(offset + 1) - 2 * ramp(offset) + ramp(offset - 1))
 

@@ -24,7 +24,7 @@ class TsMclConfig(CloudConfig):
     """The tabu search; with `max_iterations` 0 the method is a bootstrap filter."""
 
     max_iterations: int = param(
-        10, 'iterations of a particle\'s tabu search, 0 for none', low=0, high=1000)
+        10, "iterations of a particle's tabu search, 0 for none", low=0, high=1000)
     tabu_length: int = param(3, 'neighbours that the tabu list holds', low=1, high=100)
     tabu_radius: float = param(
         0.05, 'a neighbour this near to a tabu entry is drawn once more, in neighbourhood '
@@ -84,6 +84,7 @@ class TsMcl(ParticleFilter):
         scale : (M,) float32
             Neighbourhood scale h [m], unless the config sets one.
         evidence : Evidence
+            What the search's score comes from.
 
         Returns
         -------

@@ -10,7 +10,11 @@ import numpy as np
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
-    effective_sample_size, moments, normalize, systematic_resample)
+    effective_sample_size,
+    moments,
+    normalize,
+    systematic_resample,
+)
 from tsmcl_ros.model.radio import Channel, Evidence
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
 
@@ -24,7 +28,7 @@ class CloudConfig(Config):
 
     min_particles: int = param(200, 'particles of a vehicle', low=2, high=1_000_000)
     max_particles: int = param(
-        2000, 'candidates that a vehicle\'s particles are drawn from when it is first placed',
+        2000, "candidates that a vehicle's particles are drawn from when it is first placed",
         low=2, high=10_000_000)
     resample_threshold: float = param(
         0.5, 'resample when the effective sample size falls below this share of the particles',
@@ -33,7 +37,7 @@ class CloudConfig(Config):
         0.05, 'noise on resampled particles, in standard deviations of the cloud, so that '
         'copies part', low=0.0, high=1.0)
     exclusion: float = param(
-        25.0, 'place a vehicle anew when its best particle\'s log-likelihood is below minus '
+        25.0, "place a vehicle anew when its best particle's log-likelihood is below minus "
         'this and 0.7 a reference', above=0.0)
 
     def check(self) -> None:
@@ -124,12 +128,12 @@ class Cloud:
         mean, covariance = moments(self.particles, weights)
         mean[~self.placed] = np.nan
         covariance[~self.placed] = np.nan
-        yaw, yaw_variance = self._heading(weights)
+        rotation, rotation_variance = self._rotation(weights)
         heard = observation.heard.sum(axis=1)
         return Estimate(
-            stamp=observation.stamp, mean=mean, covariance=covariance, yaw=yaw,
-            yaw_variance=yaw_variance, ess=effective_sample_size(weights),
-            particles=self.states.shape[1],
+            stamp=observation.stamp, mean=mean, covariance=covariance,
+            rotation=rotation, rotation_variance=rotation_variance,
+            ess=effective_sample_size(weights), particles=self.states.shape[1],
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
@@ -171,7 +175,7 @@ class Cloud:
         self.log_weights[vehicle] = 0
         self.placed[vehicle] = True
 
-    def _heading(self, weights: Array) -> tuple[Array, Array]:
+    def _rotation(self, weights: Array) -> tuple[Array, Array]:
         """Return circular mean and variance (V,) of the headings, NaN where there are none."""
         if not self.motion.heading:
             unknown = np.full(len(weights), np.nan)

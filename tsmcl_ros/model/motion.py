@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.types import Array, ConfigError, Motion
+from tsmcl_ros.types import Array, Motion
 
 
 @dataclass(frozen=True)
@@ -210,24 +210,16 @@ def motion_model(config: MotionConfig, dimension: int, odometry: bool) -> Motion
     Parameters
     ----------
     config : MotionConfig
+        Names it, and holds its parameters.
     dimension : int
         D.
     odometry : bool
         Whether there is odometry, which is what `auto` goes by.
-
-    Raises
-    ------
-    ConfigError
-        If the model needs odometry and there is none.
     """
     name = config.motion_model
     if name == 'auto':
         name = 'odometry' if odometry else 'velocity'
     if name == 'odometry':
-        if not odometry:
-            raise ConfigError(
-                "motion_model: 'odometry' needs odometry and there is none; use random, "
-                'velocity or auto')
         return OdometryMotion(config)
     if name == 'velocity':
         return VelocityMotion(config, dimension)

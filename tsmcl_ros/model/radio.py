@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 from scipy.special import log_ndtr
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.types import Array, ConfigError, Observation
+from tsmcl_ros.model.calibration import RangeCalibration
+from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class RadioConfig(Config):
     range_bias: float = param(0.0, 'measured range = scale * distance + bias + noise', unit='m')
     range_scale: float = param(1.0, 'see range_bias', above=0.0)
     range_std: float = param(
-        1.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0)
+        2.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0)
     measure_range: bool = param(False, 'the simulated radio measures ranges')
     measure_rssi: bool = param(False, 'the simulated radio measures rssi')
 
@@ -56,8 +57,11 @@ class EvidenceConfig(Config):
         choices=('none', 'memory', 'map'))
     use_rssi: bool = param(True, 'rssi counts (lognormal model)')
     use_range: bool = param(True, 'measured ranges count')
+    range_calibration: str = param(
+        'online', 'estimate scale and bias of the ranges while running, from range_scale and '
+        'range_bias on', choices=('off', 'online'))
     outlier_fraction: float = param(
-        0.0, 'share of measurements that may say anything: the likelihood\'s uniform floor',
+        0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
 
 
@@ -319,15 +323,16 @@ class Channel:
     switches : EvidenceConfig
         Which evidence `evidence` uses.
 
-    Raises
-    ------
-    ConfigError
-        If the disk model is to simulate without a radio range.
+    Attributes
+    ----------
+    calibration : RangeCalibration
+        What `evidence` takes ranges to be; it starts from `radio`.
     """
 
     def __init__(self, radio: RadioConfig, switches: EvidenceConfig = EvidenceConfig()):
         self.radio = radio
         self.switches = switches
+        self.calibration = RangeCalibration(radio.range_scale, radio.range_bias)
         self._slope = 10 * radio.path_loss_exponent / radio.sigma_db
         self._floor = switches.outlier_fraction
 
@@ -416,6 +421,16 @@ class Channel:
             factors=tuple(factors), terms=np.maximum(terms, 1), heard=heard,
             box=self._box(observation, ranged, powered, bounded, radius))
 
+    def calibrate(self, observation: Observation, estimate: Estimate) -> None:
+        """Learn from an epoch what the ranges are like, if that is switched on."""
+        if self.switches.range_calibration == 'online':
+            self.calibration.learn(observation, estimate, self._range_std(observation))
+
+    def _range_std(self, observation: Observation) -> Array:
+        """Return the standard deviation (V, K) [m] of each range."""
+        return np.where(np.isnan(observation.range_std), np.float32(self.radio.range_std),
+                        observation.range_std)
+
     def _radius(self, max_range: Array) -> Array:
         """Return the radio range [m] of each row, 0 where unknown."""
         if self.radio.radio_model == 'lognormal':
@@ -424,12 +439,11 @@ class Channel:
 
     def _ranging(self, references: References, observation: Observation, ranged: Array
                  ) -> Ranging:
-        std = np.where(np.isnan(observation.range_std), self.radio.range_std,
-                       observation.range_std)
+        std = self._range_std(observation)
         return Ranging(
             references, measured=_column(np.where(ranged, observation.range, 0)),
             precision=_column(np.where(ranged, 1 / np.maximum(std, 1e-3) ** 2, 0)),
-            scale=self.radio.range_scale, bias=self.radio.range_bias, floor=self._floor)
+            scale=self.calibration.scale, bias=self.calibration.bias, floor=self._floor)
 
     def _boundary(self, observation: Observation, bounded: Array, radius: Array, heard: Array
                   ) -> DiskBoundary | ShadowedBoundary | None:
@@ -471,8 +485,8 @@ class Channel:
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / self._slope)
         reach = np.where(bounded, edge * observation.hops, reach)
-        std = np.where(np.isnan(observation.range_std), radio.range_std, observation.range_std)
-        furthest = (observation.range - radio.range_bias + 3 * std) / radio.range_scale
+        std = self._range_std(observation)
+        furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
         reach = np.where(ranged, np.minimum(reach, np.maximum(furthest, std)), reach)
         with np.errstate(over='ignore'):
             by_power = radio.reference_distance * 10 ** (

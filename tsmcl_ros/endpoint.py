@@ -1,0 +1,94 @@
+"""
+A localizer's wire side: serialized messages in, serialized poses out.
+
+The node and the offline bag run share it, so that what one rejects or publishes the other does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from tsmcl_ros import messages
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.types import Estimate, MessageError, Prior
+
+
+class Endpoint:
+    """
+    Feeds serialized messages to a localizer of named vehicles.
+
+    Parameters
+    ----------
+    localizer : Localizer
+        Of V vehicles.
+    names : sequence of str
+        Namespace of each vehicle, such as '/veh_0'; '' for relative names.
+    frame_id : str
+        The map's frame, which beacons must be given in and poses are.
+
+    Attributes
+    ----------
+    inputs : dict of str to (str, callable)
+        Type and handler of each topic listened to. A handler takes the serialized message and
+        raises MessageError if it has to be rejected.
+    outputs : list of str
+        Topic of each vehicle's pose.
+    """
+
+    def __init__(self, localizer: Localizer, names: Sequence[str], frame_id: str = 'map'):
+        self.localizer = localizer
+        self.frame_id = frame_id
+        self.outputs = [_topic(name, 'pose') for name in names]
+        self.inputs: dict[str, tuple[str, Callable[[bytes], None]]] = {
+            '/anchor_map': (messages.POINT_CLOUD, self._anchor_map)}
+        for vehicle, name in enumerate(names):
+            for topic, kind, handler in (
+                ('beacons', messages.POINT_CLOUD, self._beacons),
+                ('odom', messages.ODOMETRY, self._odometry),
+                ('initialpose', messages.POSE, self._initial_pose),
+            ):
+                self.inputs[_topic(name, topic)] = kind, _for_vehicle(handler, vehicle)
+
+    def poses(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
+        """Yield each localized vehicle's index and its serialized pose."""
+        yaw = estimate.yaw
+        for vehicle in np.flatnonzero(np.isfinite(estimate.mean).all(axis=1)).tolist():
+            yield vehicle, messages.encode_pose(
+                estimate.stamp, self.frame_id, estimate.mean[vehicle],
+                estimate.covariance[vehicle], float(yaw[vehicle]),
+                float(estimate.rotation_variance[vehicle]))
+
+    def _anchor_map(self, data: bytes) -> None:
+        anchors, frame_id = messages.decode_beacons(data)
+        self._check_frame('anchor map', frame_id)
+        self.localizer.anchor_map(anchors)
+
+    def _beacons(self, vehicle: int, data: bytes) -> None:
+        observation, frame_id = messages.decode_beacons(data)
+        self._check_frame('beacons', frame_id)
+        self.localizer.beacons(vehicle, observation)
+
+    def _odometry(self, vehicle: int, data: bytes) -> None:
+        self.localizer.odometry(vehicle, messages.decode_odometry(data))
+
+    def _initial_pose(self, vehicle: int, data: bytes) -> None:
+        pose = messages.decode_pose(data)
+        self._check_frame('initial pose', pose.frame_id)
+        dimension = self.localizer.config.dimension
+        self.localizer.initial_pose(Prior(
+            vehicle, pose.position[:dimension], pose.covariance[:dimension, :dimension],
+            pose.yaw if np.isfinite(pose.yaw) else None, float(np.sqrt(pose.covariance[5, 5]))))
+
+    def _check_frame(self, what: str, frame_id: str) -> None:
+        if frame_id != self.frame_id:
+            raise MessageError(
+                f'{what}: frame_id {frame_id!r} is not allowed, must be {self.frame_id!r}')
+
+
+def _topic(namespace: str, name: str) -> str:
+    return f'{namespace}/{name}' if namespace else name
+
+
+def _for_vehicle(handler: Callable[[int, bytes], None], vehicle: int) -> Callable[[bytes], None]:
+    return lambda data: handler(vehicle, data)

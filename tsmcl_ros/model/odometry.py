@@ -1,0 +1,81 @@
+"""The odometry of a fleet, brought to the stamps of its epochs."""
+
+from __future__ import annotations
+
+import numpy as np
+from tsmcl_ros.types import Array, Motion, Odometry
+
+
+class OdometryBuffer:
+    """
+    The last odometry poses of V vehicles, interpolated at the epochs' stamps.
+
+    Parameters
+    ----------
+    vehicles : int
+        V.
+    depth : int
+        Poses kept of each; at 200 Hz the default holds more than a second.
+
+    Attributes
+    ----------
+    at_epoch : (V, 4) float64
+        Position [m] and yaw [rad] at the last epoch, NaN where there is no odometry.
+    """
+
+    def __init__(self, vehicles: int, depth: int = 256):
+        self._stamp = np.full((vehicles, depth), -np.inf)
+        self._pose = np.zeros((vehicles, depth, 4))
+        self.at_epoch = np.full((vehicles, 4), np.nan)
+
+    @property
+    def latest(self) -> Array:
+        """(V,) float: stamp of each vehicle's last pose [s], -inf if there is none."""
+        return self._stamp[:, -1]
+
+    def add(self, vehicle: int, odometry: Odometry) -> None:
+        """Append one vehicle's pose; its yaw is unwrapped."""
+        stamp, pose = self._stamp[vehicle], self._pose[vehicle]
+        turn = odometry.yaw - pose[-1, 3]
+        stamp[:-1] = stamp[1:]
+        pose[:-1] = pose[1:]
+        stamp[-1] = odometry.stamp
+        pose[-1, :3] = odometry.position
+        pose[-1, 3] += (turn + np.pi) % (2 * np.pi) - np.pi
+
+    def add_all(self, stamp: float, position: Array, yaw: Array | None) -> None:
+        """Append a pose of every vehicle: (V, D) [m], (V,) [rad]."""
+        turn = 0 if yaw is None else yaw - self._pose[:, -1, 3]
+        self._stamp = np.roll(self._stamp, -1, axis=1)
+        self._pose = np.roll(self._pose, -1, axis=1)
+        self._stamp[:, -1] = stamp
+        self._pose[:, -1] = self._pose[:, -2]
+        self._pose[:, -1, :position.shape[1]] = position
+        self._pose[:, -1, 3] += (turn + np.pi) % (2 * np.pi) - np.pi
+
+    def motion(self, since: float | None, until: float, dimension: int) -> Motion | None:
+        """
+        Return the motion between two epochs [s], None if no vehicle has odometry.
+
+        A vehicle that had no odometry at either of them has a displacement of NaN.
+        """
+        if not np.isfinite(self.latest).any():
+            return None
+        before, self.at_epoch = self.at_epoch, self._interpolate(until)
+        change = self.at_epoch - before
+        return Motion(
+            elapsed=until - (until if since is None else since),
+            displacement=change[:, :dimension], turn=change[:, 3])
+
+    def _interpolate(self, stamp: float) -> Array:
+        """Return the poses (V, 4) at a stamp [s]; the nearest one outside of what is known."""
+        depth = self._stamp.shape[1]
+        after = np.minimum((self._stamp < stamp).sum(axis=1), depth - 1)
+        vehicle = np.arange(len(after))
+        before = np.maximum(after - 1, 0)
+        low, high = self._stamp[vehicle, before], self._stamp[vehicle, after]
+        with np.errstate(invalid='ignore'):
+            share = np.clip((stamp - low) / (high - low), 0, 1)
+        share = np.where(np.isfinite(low) & (high > low), share, 1)[:, None]
+        pose = (1 - share) * self._pose[vehicle, before] + share * self._pose[vehicle, after]
+        return np.where(np.isfinite(high)[:, None], pose, np.nan)
