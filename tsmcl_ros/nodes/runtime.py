@@ -58,6 +58,10 @@ LATCHED_INPUT = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1000,
 )
 
+# A subscription that a publisher has found may not have found the publisher yet, and nothing
+# tells when it has.
+SETTLING = 0.5  # s
+
 _PATIENCE = 0.1  # s, longest wait before a signal is looked for
 _ROUNDING = 1e-6  # s, more than a stamp of today loses as a float
 
@@ -352,9 +356,9 @@ def message_class(kind: str) -> Any:
         raise MessageError(f'message type {kind} is not installed') from None
 
 
-def wait_until_received(publisher: Publisher, timeout: float) -> bool:
-    """Wait until all reliable subscriptions have acknowledged what was published [s]."""
-    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout)))
+def is_received(publisher: Publisher) -> bool:
+    """Tell whether all reliable subscriptions have, or get soon, what was published."""
+    return bool(publisher.wait_for_all_acked(Duration(seconds=_PATIENCE)))
 
 
 def main(node_class: type[Node], arguments: Sequence[str] | None = None) -> int:

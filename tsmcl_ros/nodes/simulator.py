@@ -15,8 +15,7 @@ from tsmcl_ros.nodes import runtime
 from tsmcl_ros.types import Array, MessageError, Observation, Odometry
 from tsmcl_ros.world import anchor_table, CONFIGS, Epoch, make_mobility, World, WorldConfig
 
-_SETTLING = 0.5  # s
-_SHOWN_AGAIN = 0.1  # s
+_SHOWN_AGAIN = 0.1  # s, from one message of the same time to the next
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Simulator(runtime.Node):
         # heard from its first beacon on.
         self.listen('/beacons', messages.POINT_CLOUD, self._air.beacon, runtime.SENSOR_DATA)
         self.listen('/anchor_map', messages.POINT_CLOUD, self._air.map, runtime.LATCHED_INPUT)
-        self._clock = self.talk('/clock', messages.CLOCK, runtime.RELIABLE)
+        self._clock_out = self.talk('/clock', messages.CLOCK, runtime.RELIABLE)
         # Odometry comes last: who sees that topic sees the others.
         self._ground_truth, self._beacons, self._odom = zip(*(
             (
@@ -113,8 +112,7 @@ class Simulator(runtime.Node):
                 publisher.get_subscription_count() >= self._config.wait_for
                 for publisher in listeners
             ))
-            # A subscription that we have found may not have found us yet, and nothing tells.
-            self.spin(timeout=_SETTLING)
+            self.spin(timeout=runtime.SETTLING)
 
     def _simulate(self, stamp: float) -> None:
         """
@@ -133,7 +131,7 @@ class Simulator(runtime.Node):
     def _await_beacons(self, clock: bytes) -> bool:
         """Show the time until all anchors have transmitted; who came late may have missed it."""
         for _ in range(math.ceil(self._config.beacon_timeout / _SHOWN_AGAIN)):
-            self._clock.publish(clock)
+            self._clock_out.publish(clock)
             if self.spin(self._air.is_complete, _SHOWN_AGAIN):
                 return True
         return False

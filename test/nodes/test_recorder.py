@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import signal
+from typing import Any
+
+from mcap.reader import make_reader
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader as RosbagsReader
+from tsmcl_ros import messages
+from tsmcl_ros.bag import Reader
+from tsmcl_ros.nodes.recorder import Recorder
+from tsmcl_ros.nodes.runtime import LATCHED, main, RELIABLE, SENSOR_DATA, SETTLING
+from tsmcl_ros.types import Odometry
+from tsmcl_ros.world import anchor_table
+
+Start = Callable[..., Any]
+
+
+def odometry(stamp: float) -> bytes:
+    return messages.encode_odometry(Odometry(stamp, np.zeros(3), 0.0), 'odom', 'base_link')
+
+
+def record(start: Start, *parameters: str) -> Any:
+    given = [word for parameter in parameters for word in ('-p', parameter)]
+    recorder = start('nodes.recorder', '--ros-args', '-p', 'output:=bag', *given)
+    recorder.wait_for('recording to bag')
+    return recorder
+
+
+def send(probe: Any, publisher: Any, count: int) -> list[bytes]:
+    """Send a burst of messages to a recorder, once it has surely found the publisher."""
+    probe.expect(lambda: publisher.get_subscription_count() > 0, 'the recorder')
+    sent = [odometry(float(k)) for k in range(count)]
+    for data in sent:
+        publisher.publish(data)
+    return sent
+
+
+def recorded(path: Path, topic: str) -> list[bytes]:
+    with Reader(path / 'bag') as bag:
+        return [message.data for message in bag.messages([topic])]
+
+
+@pytest.mark.parametrize(('storage', 'how'), [
+    ('mcap', signal.SIGINT), ('sqlite3', signal.SIGTERM),
+])
+def test_a_recorder_stopped_by_a_signal_leaves_a_complete_bag_that_other_tools_open(
+    probe: Any, start: Start, tmp_path: Path, storage: str, how: signal.Signals,
+) -> None:
+    talk = probe.talk('/veh_0/odom', messages.ODOMETRY, RELIABLE)
+    recorder = record(start, f'storage:={storage}')
+    sent = send(probe, talk, 500)
+    probe.expect(lambda: talk.wait_for_all_acked(), 'the acknowledgement')
+    assert recorder.stop(how) == 0
+    assert 'recorded 500 messages of 1 topics to bag' in recorder.output
+    assert 'Traceback' not in recorder.output
+    with RosbagsReader(tmp_path / 'bag') as bag:
+        assert [data for _, _, data in bag.messages()] == sent
+        assert bag.connections[0].msgtype == messages.ODOMETRY
+    if storage == 'mcap':
+        [file] = (tmp_path / 'bag').glob('*.mcap')
+        with file.open('rb') as stream:
+            reader = make_reader(stream)
+            assert reader.get_summary().statistics.message_count == 500
+            assert [item.data for _, _, item in reader.iter_messages()] == sent
+
+
+def test_a_best_effort_burst_of_many_topics_is_recorded_without_loss(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    talks = [probe.talk(f'/veh_{i}/odom', messages.ODOMETRY, SENSOR_DATA) for i in range(40)]
+    recorder = record(start)
+    probe.expect(lambda: all(talk.get_subscription_count() for talk in talks), 'the recorder')
+    probe.spin(timeout=SETTLING)
+    for epoch in range(20):
+        data = odometry(float(epoch))
+        for talk in talks:
+            talk.publish(data)
+    assert recorder.stop() == 0
+    with Reader(tmp_path / 'bag') as bag:
+        assert set(bag.counts.values()) == {20}
+        assert len(bag.counts) == 40
+
+
+def test_a_bag_is_never_overwritten(start: Start, tmp_path: Path) -> None:
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'precious').write_text('data')
+    recorder = start('nodes.recorder', '--ros-args', '-p', 'output:=bag')
+    assert recorder.wait() == 1
+    assert recorder.output == 'recorder: bag: exists already, bags are never overwritten\n'
+    assert [item.name for item in (tmp_path / 'bag').iterdir()] == ['precious']
+
+
+def test_topics_are_chosen_by_name_or_regular_expression(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    names = ('/veh_0/odom', '/veh_1/odom', '/veh_2/odom', '/else', '/clock')
+    talks = {name: probe.talk(name, messages.ODOMETRY, RELIABLE) for name in names[:4]}
+    recorder = record(start, 'topics:=["/veh_.*/odom", "else"]', 'exclude:=["/veh_1/.*"]')
+    for name in ('/veh_0/odom', '/veh_2/odom', '/else'):
+        send(probe, talks[name], 1)
+        probe.expect(talks[name].wait_for_all_acked, 'the acknowledgement')
+    assert recorder.stop() == 0
+    with Reader(tmp_path / 'bag') as bag:
+        assert bag.counts == {'/veh_0/odom': 1, '/veh_2/odom': 1, '/else': 1}
+
+
+def test_a_latched_message_is_recorded_although_it_came_before_and_stays_latched(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    anchor_map = probe.talk('/anchor_map', messages.POINT_CLOUD, LATCHED)
+    data, = messages.encode_beacons(anchor_table(np.zeros((1, 3))), 'map')
+    anchor_map.publish(data)
+    recorder = record(start)
+    probe.expect(lambda: anchor_map.get_subscription_count() > 0, 'the recorder')
+    probe.expect(anchor_map.wait_for_all_acked, 'the acknowledgement')
+    assert recorder.stop() == 0
+    found, = recorded(tmp_path, '/anchor_map')
+    assert found.rstrip(b'\0') == data.rstrip(b'\0')  # DDS pads messages to four bytes
+    with Reader(tmp_path / 'bag') as bag:
+        assert bag.latched == {'/anchor_map'}
+
+
+def test_with_sim_time_log_times_follow_the_clock_and_the_duration_too(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    clock = probe.talk('/clock', messages.CLOCK, RELIABLE)
+    talk = probe.talk('/veh_0/odom', messages.ODOMETRY, RELIABLE)
+    recorder = record(start, 'use_sim_time:=true', 'duration:=20.0')
+    probe.expect(lambda: clock.get_subscription_count() == 2, 'the recorder to watch the clock')
+    probe.spin(timeout=SETTLING)
+    send(probe, talk, 1)  # before there is any time
+    for stamp in (100.0, 107.5, 119.0):
+        clock.publish(messages.encode_clock(stamp))
+        talk.publish(odometry(stamp))
+    probe.expect(talk.wait_for_all_acked, 'the acknowledgement')
+    clock.publish(messages.encode_clock(120.0))
+    assert recorder.wait() == 0
+    with Reader(tmp_path / 'bag') as bag:
+        stamps = [message.stamp for message in bag.messages()]
+    assert stamps == [100.0, 100.0, 107.5, 119.0]
+
+
+def test_a_topic_that_appears_later_is_recorded(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    recorder = record(start)
+    late = probe.talk('/late', messages.ODOMETRY, RELIABLE)
+    sent = send(probe, late, 3)
+    probe.expect(late.wait_for_all_acked, 'the acknowledgement')
+    assert recorder.stop() == 0
+    assert recorded(tmp_path, '/late') == sent
+
+
+@pytest.mark.parametrize(('parameters', 'complaint'), [
+    ([], "output: '' is not allowed, must be the folder of a new bag"),
+    (['output:=b', 'storage:=rosbag'], "storage: 'rosbag' is not allowed, must be one of mcap, "
+                                       'sqlite3'),
+    (['output:=b', 'topics:=["(odom"]'], "topics: '(odom' is not allowed, must be a topic or a "
+                                         'regular expression: '),
+])
+def test_a_parameter_that_is_not_allowed_is_one_line_and_exit_code_1(
+    capfd: pytest.CaptureFixture[str], parameters: list[str], complaint: str,
+) -> None:
+    given = [word for parameter in parameters for word in ('-p', parameter)]
+    assert main(Recorder, ['recorder', '--ros-args', *given]) == 1
+    error = capfd.readouterr().err
+    assert error.startswith(f'recorder: {complaint}')
+    assert len(error.splitlines()) == 1
