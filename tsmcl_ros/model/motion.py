@@ -182,16 +182,36 @@ class VelocityMotion:
 
     def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
         """Return the states (V, N, 2 D) after the motion."""
-        config, elapsed = self.config, motion.elapsed
         position, velocity = states[:, :, :self.extra], states[:, :, self.extra:]
-        keep = math.exp(-elapsed / config.speed_decay) if config.speed_decay > 0 else 1.0
-        variance = config.acceleration_std ** 2 * (
-            elapsed if keep == 1.0 else config.speed_decay / 2 * (1 - keep ** 2))
-        change = np.float32(math.sqrt(variance)) * rng.standard_normal(
-            velocity.shape, np.float32)
-        after = np.float32(keep) * velocity + change
-        return np.concatenate(
-            [position + np.float32(elapsed / 2) * (velocity + after), after], axis=2)
+        keep, path, change, along, across = map(np.float32, self.transition(motion.elapsed))
+        first, second = rng.standard_normal((2, *velocity.shape), np.float32)
+        return np.concatenate([
+            position + path * velocity + along * first + across * second,
+            keep * velocity + change * first], axis=2)
+
+    def transition(self, elapsed: float) -> tuple[float, float, float, float, float]:
+        """
+        Return what this time [s] does to each axis, exactly however long it is.
+
+        Returns
+        -------
+        keep, path : float
+            What is left of a velocity of 1 m/s [m/s], and how far it leads [m].
+        change, along, across : float
+            Standard deviation of the velocity's noise [m/s], of the position's noise that comes
+            with it, and of the rest of the position's noise [m].
+        """
+        tau, std = self.config.speed_decay, self.config.acceleration_std
+        forgotten = elapsed / tau if tau > 0 else 0.0
+        if forgotten < 1e-4:  # where the formulas below would cancel
+            change = std * math.sqrt(elapsed)
+            return 1.0, elapsed, change, change * elapsed / 2, change * elapsed / math.sqrt(12)
+        lost, std = -math.expm1(-forgotten), std * math.sqrt(tau)
+        change = std * math.sqrt(lost * (2 - lost) / 2)
+        along = (std * lost) ** 2 / (2 * change)
+        variance = std ** 2 * (forgotten - lost - lost ** 2 / 2)
+        across = math.sqrt(max(variance - along ** 2, 0.0))
+        return 1 - lost, tau * lost, change, tau * along, tau * across
 
 
 def uniform_ball(shape: tuple[int, ...], radius: float, rng: np.random.Generator) -> Array:
