@@ -1,11 +1,15 @@
 """Bags against rosbags and mcap, and against damage."""
 
+from contextlib import contextmanager
 import shutil
+import signal
+import threading
 
 from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import storage_mcap
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader, STORAGES, Writer
 from tsmcl_ros.types import BagError, Odometry
@@ -174,12 +178,55 @@ def test_what_was_written_before_an_exception_is_a_complete_bag(tmp_path, storag
             assert make_reader(file).get_summary().statistics.message_count == 1
 
 
+@pytest.fixture
+def interrupted_record(monkeypatch):
+    """Return a context in which Ctrl+C is pressed whenever a part of a record was written."""
+    whole = storage_mcap.write_uint64
+
+    def interrupted(*arguments):
+        whole(*arguments)
+        signal.raise_signal(signal.SIGINT)
+
+    @contextmanager
+    def within():
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(storage_mcap, 'write_uint64', interrupted)
+            yield
+
+    return within
+
+
+def test_a_signal_in_the_midst_of_a_record_comes_after_it(tmp_path, interrupted_record):
+    stamps = [float(stamp) for stamp in range(1000)]
+    with Writer(tmp_path / 'bag') as bag:
+        bag.topic('/clock', messages.CLOCK)
+        while stamps:
+            with interrupted_record():
+                while stamps:
+                    stamp = stamps.pop(0)
+                    bag.write('/clock', stamp, messages.encode_clock(stamp))
+                bag.close()
+    with Reader(tmp_path / 'bag') as reader:
+        found = [messages.decode_clock(one.data) for one in reader.messages()]
+    assert found == list(range(1000))
+
+
+def test_bags_are_written_in_any_thread(tmp_path):
+    thread = threading.Thread(target=write, args=(tmp_path / 'bag',))
+    thread.start()
+    thread.join()
+    with Reader(tmp_path / 'bag') as reader:
+        assert len(list(reader.messages())) == 11
+
+
 def test_closing_twice_does_nothing(tmp_path):
     with Writer(tmp_path / 'bag') as bag:
         bag.topic('/clock', messages.CLOCK)
         bag.write('/clock', 1.0, messages.encode_clock(1.0))
         bag.close()
     bag.close()
+    with pytest.raises(BagError, match='is closed'):
+        bag.write('/clock', 2.0, messages.encode_clock(2.0))
 
 
 def test_a_topic_has_one_type(tmp_path):

@@ -6,13 +6,15 @@ A bag is named by its folder, as rosbag2 does. Log times are float seconds, see 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 import re
-from types import TracebackType
-from typing import NamedTuple
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, NamedTuple
 
 from rosbags import rosbag2
 from rosbags.interfaces import (
@@ -31,6 +33,8 @@ from rosbags.typesys.store import Typestore
 from tsmcl_ros.types import BagError
 
 STORAGES = ('mcap', 'sqlite3')
+
+_BATCH = 256  # messages: what guards the writing of one costs more than the writing
 
 _SECOND = 1_000_000_000
 _MAX_STAMP = 2**33  # s, what still fits into 64 bits of nanoseconds
@@ -135,7 +139,8 @@ class Writer:
     """
     Writes a new bag; a context manager.
 
-    Whatever ends the context, the bag is closed complete with what was written so far.
+    Whatever ends the context, the bag is closed complete with what was written so far. Signals
+    that raise KeyboardInterrupt wait while a record is being written.
     """
 
     def __init__(self, path: str | Path, storage: str = 'mcap') -> None:
@@ -155,6 +160,7 @@ class Writer:
         if self.path.exists():
             raise BagError(f'{self.path}: exists already, bags are never overwritten')
         self._connections: dict[str, Connection] = {}
+        self._pending: list[tuple[Connection, int, bytes]] = []
         self._open = False
         with _writable(self.path):
             self._bag = rosbag2.Writer(
@@ -196,8 +202,10 @@ class Writer:
         Raises
         ------
         BagError
-            If the topic is not registered, the stamp is no time, or the disk fails.
+            If the bag is closed, the topic not registered, the stamp no time, or the disk fails.
         """
+        if not self._open:
+            raise BagError(f'{self.path}: is closed')
         if name not in self._connections:
             raise BagError(f'{self.path}: topic {name} is not registered')
         if not 0 <= stamp < _MAX_STAMP:
@@ -207,15 +215,23 @@ class Writer:
             )
         whole, part = divmod(stamp, 1)
         nanoseconds = int(whole) * _SECOND + round(part * _SECOND)
-        with _writable(self.path):
-            self._bag.write(self._connections[name], nanoseconds, data)
+        self._pending.append((self._connections[name], nanoseconds, data))
+        if len(self._pending) >= _BATCH:
+            with _writable(self.path):
+                self._flush()
 
     def close(self) -> None:
         """Complete the bag; closing it again does nothing."""
         if self._open:
-            self._open = False
             with _writable(self.path):
+                self._open = False
+                self._flush()
                 self._bag.close()
+
+    def _flush(self) -> None:
+        pending, self._pending = self._pending, []
+        for message in pending:
+            self._bag.write(*message)
 
     def __enter__(self) -> Writer:
         return self
@@ -301,7 +317,30 @@ def _readable(path: Path) -> Iterator[None]:
 @contextmanager
 def _writable(path: Path) -> Iterator[None]:
     try:
-        yield
+        with _undisturbed():
+            yield
     except Exception as error:
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise BagError(f'{path}: cannot be written: {reason}') from error
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Put signals off that may raise KeyboardInterrupt: half a record would spoil the bag."""
+    late: list[tuple[int, FrameType | None]] = []
+    previous: dict[int, Callable[[int, FrameType | None], Any]] = {}
+    number: int
+    try:
+        # Python runs handlers in the main thread only.
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                handler = signal.getsignal(number)
+                if callable(handler):
+                    previous[number] = handler
+                    signal.signal(number, lambda *arguments: late.append(arguments))
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        for arguments in late:
+            previous[arguments[0]](*arguments)

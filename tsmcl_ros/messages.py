@@ -575,7 +575,7 @@ for _name in _MEASURED:
     _UNSAID[_name] = np.nan
 
 # Bounds of the floats; NaN passes, infinity does not.
-_MAX, _TINY = float(np.finfo(np.float32).max), float(np.finfo(np.float32).smallest_subnormal)
+_MAX, _TINY = float(np.finfo(np.float32).max), float(np.finfo(np.float32).tiny)
 _BOUNDS = {
     **dict.fromkeys(('x', 'y', 'z'), (-MAX_COORDINATE, MAX_COORDINATE)),
     'max_range': (_TINY, _MAX),
