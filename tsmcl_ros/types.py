@@ -48,6 +48,8 @@ class Silence:
     ----------
     known : (V, S) bool
         False where padded.
+    sender : (V, S) int64
+        Their identities.
     position : (V, S, D) float32
         [m].
     max_range : (V, S) float32
@@ -55,6 +57,7 @@ class Silence:
     """
 
     known: Array
+    sender: Array
     position: Array
     max_range: Array
 

@@ -39,12 +39,18 @@ class RadioConfig(Config):
     sigma_db: float = param(4.0, 'standard deviation of the shadowing', unit='dB', above=0.0)
     sensitivity: float = param(
         -90.0, 'weakest rssi that is heard (lognormal model)', unit='dBm', low=-300.0, high=100.0)
+    anchor_path_loss: tuple[str, ...] = param(
+        (), "path loss of single anchors where it differs, each 'id P_0 n sigma_db'")
     range_bias: float = param(0.0, 'measured range = scale * distance + bias + noise', unit='m')
     range_scale: float = param(1.0, 'see range_bias', above=0.0)
     range_std: float = param(
         2.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0)
     measure_range: bool = param(False, 'the simulated radio measures ranges')
     measure_rssi: bool = param(False, 'the simulated radio measures rssi')
+
+    def check(self) -> None:
+        """Hold that every anchor's path loss is one."""
+        PathLoss.table(self)
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,72 @@ class EvidenceConfig(Config):
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class PathLoss:
+    """
+    Mean rssi against distance, rssi = P_0 - 10 n log10(d / d_0), and the shadowing around it.
+
+    Attributes
+    ----------
+    reference, exponent, sigma : float32 arrays of one shape
+        P_0 at 1 m [dBm], n, and sigma_db [dB].
+    """
+
+    reference: Array
+    exponent: Array
+    sigma: Array
+
+    @classmethod
+    def table(cls, radio: RadioConfig) -> tuple[Array, PathLoss]:
+        """
+        Return the ids (A,) of anchors with a path loss of their own, and these (A + 1,).
+
+        The last one is everybody else's.
+
+        Raises
+        ------
+        ConfigError
+            If a row of `anchor_path_loss` is not 'id P_0 n sigma_db'.
+        """
+        rows = {}
+        for text in radio.anchor_path_loss:
+            try:
+                identity, reference, exponent, sigma = text.split()
+                row = float(reference), float(exponent), float(sigma)
+                sound = int(identity) >= 0 and all(map(math.isfinite, row)) and min(row[1:]) > 0
+            except ValueError:
+                sound = False
+            if not sound or int(identity) in rows:
+                raise ConfigError(
+                    f'anchor_path_loss: {text!r} is not allowed, must be the id of an anchor, '
+                    'once, its P_0 [dBm], n above 0 and sigma_db above 0')
+            rows[int(identity)] = row
+        identities = np.array(sorted(rows), np.int64)
+        rest = radio.rssi_at_reference, radio.path_loss_exponent, radio.sigma_db
+        table = np.array([rows[item] for item in identities.tolist()] + [rest], np.float32).T
+        table[0] += 10 * table[1] * math.log10(radio.reference_distance)
+        return identities, cls(*table)
+
+    def of(self, index: Array) -> PathLoss:
+        """Return the path losses of these rows of the table, in the index's shape."""
+        return PathLoss(self.reference[index], self.exponent[index], self.sigma[index])
+
+    @property
+    def slope(self) -> Array:
+        """How many sigmas a tenfold distance costs."""
+        return np.asarray(10 * self.exponent / self.sigma)
+
+    def mean(self, distance: Array) -> Array:
+        """Return the mean rssi [dBm] at distances [m]."""
+        return np.asarray(
+            self.reference - 10 * self.exponent * np.log10(np.maximum(distance, 1e-3)))
+
+    def distance(self, rssi: Array | float) -> Array:
+        """Return the distance [m] at which this rssi [dBm] is the mean."""
+        with np.errstate(over='ignore'):
+            return np.asarray(10 ** ((self.reference - rssi) / (10 * self.exponent)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +255,7 @@ class ShadowedBoundary:
     references: References
     radius: Array
     side: Array
-    slope: float
+    slope: Array
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
@@ -193,9 +265,8 @@ class ShadowedBoundary:
 
     def at(self, vehicle: Array) -> ShadowedBoundary:
         """Return the factor for a flat list of points: see `Factor`."""
-        return replace(
-            self, references=self.references.at(vehicle),
-            radius=_flat(self.radius, vehicle), side=_flat(self.side, vehicle))
+        return ShadowedBoundary(self.references.at(vehicle), *(
+            _flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +281,7 @@ class Power:
     references: References
     excess: Array
     weight: Array
-    slope: float
+    slope: Array
     floor: float
 
     def log_likelihood(self, points: Array) -> Array:
@@ -227,7 +298,8 @@ class Power:
         """Return the factor for a flat list of points: see `Factor`."""
         return replace(
             self, references=self.references.at(vehicle),
-            excess=_flat(self.excess, vehicle), weight=_flat(self.weight, vehicle))
+            excess=_flat(self.excess, vehicle), weight=_flat(self.weight, vehicle),
+            slope=_flat(self.slope, vehicle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +405,7 @@ class Channel:
         self.radio = radio
         self.switches = switches
         self.calibration = RangeCalibration(radio.range_scale, radio.range_bias)
-        self._slope = 10 * radio.path_loss_exponent / radio.sigma_db
+        self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
 
     @property
@@ -341,13 +413,21 @@ class Channel:
         """Range [m] at which half of the beacons are heard; 0 if unknown."""
         if self.radio.radio_model == 'disk':
             return self.radio.radio_range
-        excess = self.radio.rssi_at_reference - self.radio.sensitivity
-        return float(self.radio.reference_distance
-                     * 10 ** (excess / (10 * self.radio.path_loss_exponent)))
+        return float(self._path_loss.distance(self.radio.sensitivity)[-1])
 
-    def hear(self, distance: Array, rng: np.random.Generator) -> Heard:
+    def hear(self, distance: Array, rng: np.random.Generator, sender: Array | None = None
+             ) -> Heard:
         """
-        Return what radios at these distances (V, A) [m] of the senders hear and measure.
+        Return what radios at these distances of the senders hear and measure.
+
+        Parameters
+        ----------
+        distance : (V, A) float
+            [m].
+        rng : numpy.random.Generator
+            Draws the shadowing and the noise.
+        sender : int array that broadcasts to (V, A), optional
+            Identities, for anchors with a path loss of their own.
 
         Raises
         ------
@@ -362,10 +442,9 @@ class Channel:
         unmeasured = np.full(distance.shape, np.nan, np.float32)
         rssi = unmeasured
         if radio.radio_model == 'lognormal' or radio.measure_rssi:
-            mean = radio.rssi_at_reference - 10 * radio.path_loss_exponent * np.log10(
-                np.maximum(distance, 1e-3) / radio.reference_distance)
-            rssi = (mean + radio.sigma_db * rng.standard_normal(distance.shape)
-                    ).astype(np.float32)
+            loss = self.path_loss(np.array(-1) if sender is None else sender)
+            shadowing = loss.sigma * rng.standard_normal(distance.shape)
+            rssi = (loss.mean(distance) + shadowing).astype(np.float32)
         if radio.radio_model == 'disk':
             mask = distance <= radio.radio_range
         else:
@@ -396,7 +475,7 @@ class Channel:
         ranged = rows & ~np.isnan(observation.range) & switches.use_range
         powered = rows & ~np.isnan(observation.rssi) & (
             switches.use_rssi and radio.radio_model == 'lognormal')
-        radius = self._radius(observation.max_range)
+        radius = self._radius(observation.max_range, observation.sender)
         bounded = rows & (radius > 0) & ~powered & switches.use_heard
         references = _references(observation.position, observation.covariance)
 
@@ -406,12 +485,11 @@ class Channel:
             factors.append(self._ranging(references, observation, ranged))
             terms += ranged.sum(axis=1)
         if powered.any():
+            loss = self.path_loss(observation.sender)
+            excess = (np.where(powered, observation.rssi, 0) - loss.reference) / loss.sigma
             factors.append(Power(
-                references,
-                excess=_column(
-                    (np.where(powered, observation.rssi, 0) - radio.rssi_at_reference)
-                    / radio.sigma_db - self._slope * math.log10(radio.reference_distance)),
-                weight=_column(powered), slope=self._slope, floor=self._floor))
+                references, excess=_column(excess), weight=_column(powered),
+                slope=_column(loss.slope), floor=self._floor))
             terms += powered.sum(axis=1)
         boundary = self._boundary(observation, bounded, radius, heard)
         if boundary is not None:
@@ -431,10 +509,17 @@ class Channel:
         return np.where(np.isnan(observation.range_std), np.float32(self.radio.range_std),
                         observation.range_std)
 
-    def _radius(self, max_range: Array) -> Array:
+    def path_loss(self, sender: Array) -> PathLoss:
+        """Return each sender's path loss, in the shape of the senders' ids."""
+        if not len(self._identity):
+            return self._path_loss.of(np.full(sender.shape, -1))
+        index = np.minimum(np.searchsorted(self._identity, sender), len(self._identity) - 1)
+        return self._path_loss.of(np.where(self._identity[index] == sender, index, -1))
+
+    def _radius(self, max_range: Array, sender: Array) -> Array:
         """Return the radio range [m] of each row, 0 where unknown."""
         if self.radio.radio_model == 'lognormal':
-            return np.full_like(max_range, self.radio_range)
+            return self.path_loss(sender).distance(self.radio.sensitivity)
         return np.where(np.isnan(max_range), np.float32(self.radio.radio_range), max_range)
 
     def _ranging(self, references: References, observation: Observation, ranged: Array
@@ -449,28 +534,29 @@ class Channel:
                   ) -> DiskBoundary | ShadowedBoundary | None:
         """Gather heard, relayed and silent beacons into one factor, None if there are none."""
         relayed = bounded & (observation.hops == 2)
-        groups = [(observation.position, observation.covariance, bounded,
-                   np.where(relayed, 2 * radius, radius), 1)]
-        if relayed.any():
-            groups.append((observation.position, observation.covariance, relayed, radius, -1))
+        inside, outside = np.ones(bounded.shape), -np.ones(bounded.shape)
+        said = observation.sender, observation.position, observation.covariance
+        groups = [(*said, bounded, np.where(relayed, 2 * radius, radius), inside),
+                  (*said, relayed, radius, outside)]
         silent = observation.silent
         if silent is not None and self.switches.silence != 'none':
-            reach = self._radius(silent.max_range)
+            reach = self._radius(silent.max_range, silent.sender)
             exact = np.zeros((*silent.position.shape, silent.position.shape[-1]), np.float32)
-            groups.append((silent.position, exact,
-                           silent.known & (reach > 0) & heard[:, None], reach, -1))
-        groups = [group for group in groups if group[2].any()]
+            groups.append((silent.sender, silent.position, exact,
+                           silent.known & (reach > 0) & heard[:, None], reach,
+                           -np.ones(reach.shape)))
+        groups = [group for group in groups if group[3].any()]
         if not groups:
             return None
-        references = _references(np.concatenate([group[0] for group in groups], axis=1),
-                                 np.concatenate([group[1] for group in groups], axis=1))
+        sender, position, covariance, used, reach, side = (
+            np.concatenate(parts, axis=1) for parts in zip(*groups, strict=True))
+        references = _references(position, covariance)
         # A padded column has an infinite radius and stands inside of it: it scores 0.
-        reach = _column(np.concatenate(
-            [np.where(used, size, np.inf) for _, _, used, size, _ in groups], axis=1))
-        side = _column(np.concatenate(
-            [np.where(used, side, 1) for _, _, used, _, side in groups], axis=1))
+        reach = _column(np.where(used, reach, np.inf))
+        side = _column(np.where(used, side, 1))
         if self.radio.radio_model == 'lognormal':
-            return ShadowedBoundary(references, reach, side, self._slope)
+            return ShadowedBoundary(
+                references, reach, side, _column(self.path_loss(sender).slope))
         softness = np.where(np.isfinite(reach), np.float32(0.02) * reach, 1)
         if self.radio.edge_softness > 0:
             softness = np.full_like(reach, self.radio.edge_softness)
@@ -482,16 +568,14 @@ class Channel:
         radio = self.radio
         reach = np.full(radius.shape, np.inf)
         edge = radius + 3 * (radio.edge_softness or 0.02 * radius)
+        loss = self.path_loss(observation.sender)
         if radio.radio_model == 'lognormal':
-            edge = radius * 10 ** (3 / self._slope)
+            edge = radius * 10 ** (3 / loss.slope)
         reach = np.where(bounded, edge * observation.hops, reach)
         std = self._range_std(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
         reach = np.where(ranged, np.minimum(reach, np.maximum(furthest, std)), reach)
-        with np.errstate(over='ignore'):
-            by_power = radio.reference_distance * 10 ** (
-                (radio.rssi_at_reference + 3 * radio.sigma_db
-                 - observation.rssi.astype(np.float64)) / (10 * radio.path_loss_exponent))
+        by_power = loss.distance(observation.rssi - 3 * loss.sigma)
         reach = np.where(powered, by_power, reach)
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))
         reach = reach[:, :, None] + spread

@@ -75,7 +75,7 @@ class KnownAnchors:
         count = int(silent.sum(axis=1).max())
         order = np.argsort(~silent, axis=1, kind='stable')[:, :count]
         return replace(observation, silent=Silence(
-            known=np.take_along_axis(silent, order, axis=1),
+            known=np.take_along_axis(silent, order, axis=1), sender=self.identity[order],
             position=self.position[order], max_range=self.max_range[order]))
 
     def _heard(self, observation: Observation) -> Array:
