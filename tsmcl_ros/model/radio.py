@@ -234,7 +234,8 @@ class DiskBoundary:
         distance, variance = self.references.distance(points)
         softness = self.softness
         if variance is not None:
-            softness = np.sqrt(softness * softness + variance)
+            # A logistic curve of width s lies within 0.01 of a Gaussian's of std 1.702 s.
+            softness = np.sqrt(softness * softness + variance / np.float32(1.702 ** 2))
         return -_softplus(self.side * (distance - self.radius) / softness).sum(axis=1)
 
     def at(self, vehicle: Array) -> DiskBoundary:
@@ -259,9 +260,12 @@ class ShadowedBoundary:
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
-        distance, _ = self.references.distance(points)
-        ratio = self.radius / np.maximum(distance, np.float32(1e-3))
-        return np.asarray(log_ndtr(self.side * self.slope * np.log10(ratio)).sum(axis=1))
+        distance, variance = self.references.distance(points)
+        distance = np.maximum(distance, np.float32(1e-3))
+        excess = self.side * self.slope * np.log10(self.radius / distance)
+        if variance is not None:
+            excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
+        return np.asarray(log_ndtr(excess).sum(axis=1))
 
     def at(self, vehicle: Array) -> ShadowedBoundary:
         """Return the factor for a flat list of points: see `Factor`."""
@@ -291,7 +295,7 @@ class Power:
         residual = self.excess + self.slope * np.log10(distance)
         squared = residual * residual
         if variance is not None:
-            squared = squared / (1 + (self.slope / math.log(10)) ** 2 * variance / distance ** 2)
+            squared = squared / _power_variance(self.slope, variance, distance)
         return _heavy_tailed(self.weight * squared, self.floor).sum(axis=1)
 
     def at(self, vehicle: Array) -> Power:
@@ -620,6 +624,16 @@ def _references(position: Array, covariance: Array) -> References:
         np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None],
         np.moveaxis(covariance, (2, 3), (0, 1))[..., None] if covariance.any() else None,
     )
+
+
+def _power_variance(slope: float, variance: Array, distance: Array) -> Array:
+    """
+    Return the variance of received power, in sigma_db^2.
+
+    To the shadowing comes what the reference's variance [m^2] along the line of sight makes of
+    the path loss at this distance [m].
+    """
+    return np.asarray(1 + (slope / math.log(10)) ** 2 * variance / distance ** 2)
 
 
 def _softplus(x: Array) -> Array:
