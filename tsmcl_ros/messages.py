@@ -611,9 +611,9 @@ def _unify(rows: Array) -> Array:
 def _check_rows(rows: Array) -> None:
     """Refuse rows (K,) that cannot be true; `count_nonzero` is far quicker than `any` on few."""
     words = _words(rows)
-    outside = (words < _LOW) | (words > _HIGH)
-    if np.count_nonzero(outside):
-        row, word = np.argwhere(outside)[0]
+    low, high = words < _LOW, words > _HIGH
+    if np.count_nonzero(low) or np.count_nonzero(high):
+        row, word = np.argwhere(low | high)[0]
         name = next(name for name in _WORD if _WORD[name] == word)
         raise MessageError(
             f'{name} {words[row, word]:g} of id {rows["id"][row]} is not allowed, must be '
