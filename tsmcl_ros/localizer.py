@@ -144,6 +144,11 @@ class Localizer:
         self._estimate: Estimate | None = None
 
     @property
+    def now(self) -> float:
+        """Latest time that a message or `clock` has told [s], -inf before any has."""
+        return self._now
+
+    @property
     def particles(self) -> Array:
         """(V, N, D) float32: the cloud [m]; (V, 0, D) before the first epoch."""
         if self._method is None:
