@@ -72,6 +72,7 @@ class Cloud:
         self.log_weights = np.zeros((vehicles, count), np.float32)
         self.placed = np.zeros(vehicles, bool)
         self._log_likelihood = np.full(vehicles, np.nan)
+        self._drawn = np.zeros(vehicles, bool)
         self._reinitialized = np.zeros(vehicles, bool)
 
     @property
@@ -117,10 +118,11 @@ class Cloud:
 
     def weigh(self, evidence: Evidence) -> None:
         """Multiply the weights by the likelihood of the evidence."""
-        _, before = normalize(self.log_weights)
-        self.log_weights = self.log_weights + evidence.log_likelihood(self.particles)
-        _, after = normalize(self.log_weights)
-        self._log_likelihood = after - before
+        weighed = self.log_weights + evidence.log_likelihood(self.particles)
+        self._log_likelihood = normalize(weighed)[1] - normalize(self.log_weights)[1]
+        # Particles just drawn from this very evidence would count it twice.
+        self.log_weights = np.where(self._drawn[:, None], self.log_weights, weighed)
+        self._drawn[:] = False
 
     def estimate(self, observation: Observation) -> Estimate:
         """Return the weighted mean and covariance of every vehicle's cloud."""
@@ -174,6 +176,7 @@ class Cloud:
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
         self.log_weights[vehicle] = 0
         self.placed[vehicle] = True
+        self._drawn[vehicle] = True
 
     def _rotation(self, weights: Array) -> tuple[Array, Array]:
         """Return circular mean and variance (V,) of the headings, NaN where there are none."""
