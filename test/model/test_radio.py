@@ -52,8 +52,9 @@ def unheard(observation: Observation, *positions: tuple[float, ...],
     """Return the same observation, with anchors at these positions [m] known and silent."""
     shape = (1, len(positions))
     return replace(observation, silent=Silence(
-        np.ones(shape, bool), np.array([positions], np.float32),
-        np.full(shape, max_range, np.float32)))
+        known=np.ones(shape, bool), sender=100 + np.arange(len(positions))[None],
+        position=np.array([positions], np.float32),
+        max_range=np.full(shape, max_range, np.float32)))
 
 
 def at(distance: object, direction: float = 0.0) -> np.ndarray:
@@ -162,6 +163,38 @@ def test_measurements_are_scored_with_the_noise_that_they_are_simulated_with(
     scores = channel(radio, use_heard=False).evidence(observation).log_likelihood(at(60.0))
     # Minus twice the logarithm of a Gaussian over its peak is chi-squared.
     assert stats.kstest(-2 * scores[:, 0], stats.chi2(1).cdf).pvalue > SIGNIFICANCE
+
+
+def test_an_anchor_with_a_path_loss_of_its_own_is_heard_and_scored_by_it() -> None:
+    radio = channel({**SHADOWED, 'anchor_path_loss': ('7 -50 2 4', '9 -30 3 8')})
+    rest, seven, nine = (
+        radio.hear(np.full((1, MANY), 130.0), rng(), np.array([sender])).mask.sum()
+        for sender in (8, 7, 9))
+    for sender, heard, margin in (
+            (8, rest, 25.0 * math.log10(100.0 / 130.0) / 5.0),
+            (7, seven, (40.0 - 20.0 * math.log10(130.0)) / 4.0),
+            (9, nine, (60.0 - 30.0 * math.log10(130.0)) / 8.0)):
+        score = likelihood(radio, listen(ORIGIN, sender=sender), at(130.0))[0]
+        assert score == pytest.approx(stats.norm.logcdf(margin), rel=1e-4)
+        assert stats.binomtest(int(heard), MANY, math.exp(score)).pvalue > SIGNIFICANCE
+
+
+def test_an_anchor_s_rssi_is_scored_by_its_own_path_loss() -> None:
+    radio = channel({**SHADOWED, 'anchor_path_loss': ('7 -50 2 4',)})
+    score = likelihood(radio, listen(ORIGIN, rssi=-86.0, sender=7), at(100.0))[0]
+    assert score == pytest.approx(-0.5 * ((-86.0 + 90.0) / 4.0) ** 2, rel=1e-4)
+
+
+@pytest.mark.parametrize('row', ['', '7', '7 -50 2', '7 -50 2 4 1', 'seven -50 2 4', '7 -50 0 4',
+                                 '7 -50 2 0', '7 nan 2 4', '-7 -50 2 4'])
+def test_a_path_loss_that_is_none_is_refused(row: str) -> None:
+    with pytest.raises(ConfigError, match=f'anchor_path_loss: .{row}. is not allowed'):
+        RadioConfig(anchor_path_loss=(row,))
+
+
+def test_two_path_losses_of_one_anchor_are_refused() -> None:
+    with pytest.raises(ConfigError, match="'7 -60 2 4' is not allowed, .* once"):
+        RadioConfig(anchor_path_loss=('7 -50 2 4', '7 -60 2 4'))
 
 
 # Heard, silent, relayed
@@ -431,7 +464,8 @@ def some_evidence(model: str, seed: int, covariance: bool, dimension: int = 2,
                   ) -> tuple[Channel, Observation]:
     """Three vehicles, of which the last heard nothing, with all kinds of evidence and padding."""
     draw = rng(seed)
-    radio = channel({'radio_model': model, 'edge_softness': 20.0},
+    radio = channel({'radio_model': model, 'edge_softness': 20.0,
+                     'anchor_path_loss': ('2 -50 1.5 3', '7 -30 3 6')},
                     outlier_fraction=float(draw.choice([0.0, 0.1])))
     observation = Observation.empty(3, 5, dimension, 1.0)
     observation.sender[:2] = np.where(draw.random((2, 5)) < 0.6, np.arange(5), -1)
@@ -444,9 +478,10 @@ def some_evidence(model: str, seed: int, covariance: bool, dimension: int = 2,
     if covariance:
         factor = draw.normal(0, 5, (3, 5, dimension, dimension)).astype(np.float32)
         observation.covariance[:] = factor @ np.swapaxes(factor, 2, 3)
-    silent = Silence(draw.random((3, 4)) < 0.7,
-                     draw.uniform(-200, 200, (3, 4, dimension)).astype(np.float32),
-                     np.where(draw.random((3, 4)) < 0.5, 60, np.nan).astype(np.float32))
+    silent = Silence(
+        known=draw.random((3, 4)) < 0.7, sender=draw.integers(0, 10, (3, 4)),
+        position=draw.uniform(-200, 200, (3, 4, dimension)).astype(np.float32),
+        max_range=np.where(draw.random((3, 4)) < 0.5, 60, np.nan).astype(np.float32))
     return radio, replace(observation, silent=silent)
 
 
@@ -475,11 +510,11 @@ def test_a_fleet_is_scored_as_its_vehicles_are(
     fleet = radio.evidence(observation)
     assert observation.silent is not None
     for vehicle in range(3):
-        known = observation.silent.known[vehicle]
         # Alone, without any padding.
-        alone = radio.evidence(replace(observation.vehicle(vehicle), silent=Silence(
-            known[None, known], observation.silent.position[None, vehicle, known],
-            observation.silent.max_range[None, vehicle, known])))
+        known = observation.silent.known[vehicle]
+        silent = Silence(**{name: values[None, vehicle, known]
+                            for name, values in vars(observation.silent).items()})
+        alone = radio.evidence(replace(observation.vehicle(vehicle), silent=silent))
         np.testing.assert_allclose(
             fleet.log_likelihood(points)[vehicle], alone.log_likelihood(points[[vehicle]])[0],
             rtol=1e-5, atol=1e-5)

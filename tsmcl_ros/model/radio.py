@@ -626,7 +626,7 @@ def _references(position: Array, covariance: Array) -> References:
     )
 
 
-def _power_variance(slope: float, variance: Array, distance: Array) -> Array:
+def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:
     """
     Return the variance of received power, in sigma_db^2.
 
