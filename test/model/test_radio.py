@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy import special, stats
-from tsmcl_ros.model.radio import Channel, Evidence, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.evidence import Evidence
+from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Estimate, Observation, Silence
 
 # Statistical tests have fixed seeds and reject at one in a thousand.

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from tsmcl_ros.config import param
 from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.radio import Channel, Evidence
+from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Estimate, Motion, Observation
 
 
@@ -51,8 +52,11 @@ class Mcl(ParticleFilter):
         new = evidence.heard & ~self.cloud.placed
         self.cloud.place(evidence)
         starved = self.filter(evidence.presence, self.cloud.placed & ~new)
-        self.cloud.place_again(starved | self.cloud.excluded(evidence.measured), evidence)
-        self.cloud.weigh(evidence.measured)
+        if starved.any():
+            self.cloud.place_again(starved, evidence)
+        measured = evidence.measured
+        log_likelihood = measured.log_likelihood(self.cloud.particles)
+        self.cloud.weigh(self.cloud.recover(measured, log_likelihood))
         estimate = self.cloud.estimate(observation)
         self.cloud.resample()
         return estimate

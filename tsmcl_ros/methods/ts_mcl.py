@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from tsmcl_ros.config import param
 from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter, spread
+from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.radio import Channel, Evidence
+from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Estimate, Observation
 
 
@@ -52,26 +53,34 @@ class TsMcl(ParticleFilter):
         """Repair and weigh the particles by what was heard."""
         evidence = self.channel.evidence(observation)
         self.cloud.place(evidence, self.search)
-        self.repair(evidence)
-        self.cloud.place_again(self.cloud.excluded(evidence), evidence, self.search)
-        self.cloud.weigh(evidence)
+        log_likelihood = self.repair(evidence)
+        log_likelihood = self.cloud.recover(evidence, log_likelihood, self.search)
+        self.cloud.weigh(log_likelihood)
         estimate = self.cloud.estimate(observation)
         self.cloud.resample()
         return estimate
 
-    def repair(self, evidence: Evidence) -> None:
-        """Replace the particles that explain the evidence badly by what a search finds."""
-        if self.config.max_iterations == 0:
-            return
-        particles = self.cloud.particles
-        poor = score(evidence.log_likelihood(particles), evidence.terms[:, None])
-        owner, index = np.nonzero(
-            (poor <= self.config.aspiration) & self.cloud.placed[:, None])
-        if len(owner):
-            self.cloud.particles[owner, index] = self.search(
-                particles[owner, index], owner, spread(particles)[owner], evidence)
+    def repair(self, evidence: Evidence) -> Array:
+        """
+        Replace the particles that explain the evidence badly by what a search finds.
 
-    def search(self, points: Array, owner: Array, scale: Array, evidence: Evidence) -> Array:
+        Returns
+        -------
+        (V, N) float32
+            The log-likelihood of the repaired particles.
+        """
+        particles = self.cloud.particles
+        log_likelihood = evidence.log_likelihood(particles)
+        poor = score(log_likelihood, evidence.terms[:, None]) <= self.config.aspiration
+        owner, index = np.nonzero(poor & self.cloud.placed[:, None])
+        if len(owner) and self.config.max_iterations:
+            particles[owner, index], log_likelihood[owner, index] = self.search(
+                particles[owner, index], log_likelihood[owner, index], owner,
+                spread(particles)[owner], evidence)
+        return log_likelihood
+
+    def search(self, points: Array, log_likelihood: Array, owner: Array, scale: Array,
+               evidence: Evidence) -> tuple[Array, Array]:
         """
         Return better positions than the given ones, found by tabu search.
 
@@ -79,6 +88,8 @@ class TsMcl(ParticleFilter):
         ----------
         points : (M, D) float32
             Positions [m].
+        log_likelihood : (M,) float32
+            Of each.
         owner : (M,) int
             The vehicle of each.
         scale : (M,) float32
@@ -88,54 +99,57 @@ class TsMcl(ParticleFilter):
 
         Returns
         -------
-        (M, D) float32
+        points : (M, D) float32
             Positions [m]; those above the aspiration threshold are left alone.
+        log_likelihood : (M,) float32
+            Of each.
         """
         config, rng = self.config, self.rng
         if config.neighbourhood_scale > 0:
             scale = np.full_like(scale, config.neighbourhood_scale)
-        start = score(evidence.log_likelihood_of(points, owner), evidence.terms[owner])
-        found = points.copy()
-        search = _Search(points, start, np.maximum(scale, config.neighbourhood_floor),
-                         config.tabu_length).only(start <= config.aspiration)
+        scale = np.maximum(scale, config.neighbourhood_floor)
+        found, reached = points.copy(), log_likelihood.copy()
+        start = score(log_likelihood, evidence.terms[owner])
+        search = _Search(points, start, scale, log_likelihood, config.tabu_length)
+        search.keep(start <= config.aspiration)
         for iteration in range(config.max_iterations):
             if not len(search.index):
                 break
             neighbours = search.neighbours(rng, config.tabu_radius)
-            two_owners = np.repeat(owner[search.index], 2)
-            scores = score(
-                evidence.log_likelihood_of(neighbours.reshape(len(two_owners), -1), two_owners),
-                evidence.terms[two_owners]).reshape(-1, 2)
-            better, reached = search.move(neighbours, scores, iteration)
-            accepted = (reached > config.aspiration) | (
-                reached > search.start_score
-                + (1 - search.start_score) * rng.random(len(reached), np.float32))
+            both = np.repeat(owner[search.index], 2)
+            likelihoods = evidence.log_likelihood_of(
+                neighbours.reshape(len(both), -1), both).reshape(-1, 2)
+            better, likelihood = search.move(neighbours, likelihoods, iteration)
+            omega = score(likelihood, evidence.terms[owner[search.index]])
+            bar = search.score + (1 - search.score) * rng.random(len(omega), np.float32)
+            accepted = (omega > config.aspiration) | (omega > bar)
             found[search.index[accepted]] = better[accepted]
-            search = search.only(~accepted)
-        found[search.index] = search.best
-        return found
+            reached[search.index[accepted]] = likelihood[accepted]
+            search.keep(~accepted)
+        found[search.index], reached[search.index] = search.best, search.best_likelihood
+        return found, reached
 
 
 class _Search:
     """The tabu searches still under way, one a row: arrays over particles, no loop over them."""
 
-    def __init__(self, points: Array, start_score: Array, scale: Array, tabu_length: int):
+    def __init__(self, points: Array, start_score: Array, scale: Array, log_likelihood: Array,
+                 tabu_length: int):
         count, dimension = points.shape
         self.index = np.arange(count)
-        self.start, self.start_score, self.scale = points, start_score, scale
-        self.best, self.best_score = points.copy(), start_score.copy()
+        self.start, self.score, self.scale = points, start_score, scale
+        self.best, self.best_likelihood = points, log_likelihood
         self.tabu = np.full((count, tabu_length, dimension), np.inf, np.float32)
 
-    def only(self, rows: Array) -> _Search:
-        """Keep the searches of these rows (M,) bool."""
+    def keep(self, rows: Array) -> None:
+        """Go on with the searches of these rows (M,) bool only."""
         for name, values in vars(self).items():
             setattr(self, name, values[rows])
-        return self
 
     def neighbours(self, rng: np.random.Generator, tabu_radius: float) -> Array:
         """Return two neighbours (M, 2, D) [m] of each start, redrawn once where tabu."""
         shape = (len(self.index), 2, self.start.shape[1])
-        step = ((1 - self.start_score) * self.scale)[:, None, None]
+        step = ((1 - self.score) * self.scale)[:, None, None]
         drawn = self.start[:, None] + step * rng.standard_normal(shape, np.float32)
         apart = np.square(drawn[:, :, None] - self.tabu[:, None]).sum(axis=3).min(axis=2)
         tabu = apart < np.square(tabu_radius * self.scale)[:, None]
@@ -144,15 +158,16 @@ class _Search:
             drawn = np.where(tabu[:, :, None], again, drawn)
         return drawn
 
-    def move(self, neighbours: Array, scores: Array, iteration: int) -> tuple[Array, Array]:
+    def move(self, neighbours: Array, likelihoods: Array, iteration: int
+             ) -> tuple[Array, Array]:
         """Make the better neighbour tabu, and the best so far if it is; return it, its score."""
-        rows, pick = np.arange(len(self.index)), scores.argmax(axis=1)
-        better, reached = neighbours[rows, pick], scores[rows, pick]
+        rows, pick = np.arange(len(self.index)), likelihoods.argmax(axis=1)
+        better, likelihood = neighbours[rows, pick], likelihoods[rows, pick]
         self.tabu[:, iteration % self.tabu.shape[1]] = better
-        improved = reached > self.best_score
+        improved = likelihood > self.best_likelihood
         self.best[improved] = better[improved]
-        self.best_score[improved] = reached[improved]
-        return better, reached
+        self.best_likelihood[improved] = likelihood[improved]
+        return better, likelihood
 
 
 def score(log_likelihood: Array, terms: Array) -> Array:

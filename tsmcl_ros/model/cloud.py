@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from tsmcl_ros.config import Config, param
+from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
     effective_sample_size,
@@ -15,11 +16,12 @@ from tsmcl_ros.model.particles import (
     normalize,
     systematic_resample,
 )
-from tsmcl_ros.model.radio import Channel, Evidence
+from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
 
-# Improves points (M, D) [m] of the vehicles (M,), given a length scale (M,) [m] and the evidence.
-Repair = Callable[[Array, Array, Array, Evidence], Array]
+# Improves points (M, D) [m] and their log-likelihoods (M,), given the vehicles (M,), a length
+# scale (M,) [m] and the evidence.
+Repair = Callable[[Array, Array, Array, Array, Evidence], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class Cloud:
     ----------
     states : (V, N, D + extra) float32
         Positions [m], then what the motion model remembers.
-    log_weights : (V, N) float32
+    weights : (V, N) float32
+        Each vehicle's sum to 1.
     placed : (V,) bool
         False for a vehicle that never heard a beacon.
     """
@@ -69,7 +72,7 @@ class Cloud:
         self.rng = rng
         count = config.min_particles
         self.states = np.zeros((vehicles, count, dimension + motion.extra), np.float32)
-        self.log_weights = np.zeros((vehicles, count), np.float32)
+        self.weights = np.full((vehicles, count), 1 / count, np.float32)
         self.placed = np.zeros(vehicles, bool)
         self._log_likelihood = np.full(vehicles, np.nan)
         self._drawn = np.zeros(vehicles, bool)
@@ -93,7 +96,7 @@ class Cloud:
         if self.motion.heading and prior.yaw is not None:
             self.states[index, :, self.dimension] = (
                 prior.yaw + prior.yaw_std * self.rng.standard_normal(count))
-        self.log_weights[index] = 0
+        self._equalize(index)
         self.placed[index] = True
 
     def forget(self, vehicle: int) -> None:
@@ -102,58 +105,77 @@ class Cloud:
 
     def place(self, evidence: Evidence, repair: Repair | None = None) -> None:
         """Draw particles for the vehicles that hear a beacon for the first time."""
+        self._reinitialized = np.zeros(len(self.placed), bool)
         self._draw(evidence.heard & ~self.placed, evidence, repair)
-
-    def excluded(self, evidence: Evidence) -> Array:
-        """Return the vehicles (V,) bool of which the evidence excludes even the best particle."""
-        best = evidence.log_likelihood(self.particles).max(axis=1)
-        return np.asarray(
-            self.placed & (best < -self.config.exclusion - 0.7 * evidence.terms))
 
     def place_again(self, which: Array, evidence: Evidence, repair: Repair | None = None
                     ) -> None:
         """Draw the clouds of these vehicles (V,) bool anew, from the observation alone."""
         self._draw(which, evidence, repair)
-        self._reinitialized = which
+        self._reinitialized = self._reinitialized | which
 
-    def weigh(self, evidence: Evidence) -> None:
-        """Multiply the weights by the likelihood of the evidence."""
-        weighed = self.log_weights + evidence.log_likelihood(self.particles)
-        self._log_likelihood = normalize(weighed)[1] - normalize(self.log_weights)[1]
+    def excluded(self, evidence: Evidence, log_likelihood: Array) -> Array:
+        """Return the vehicles (V,) bool of which the evidence excludes even the best particle."""
+        bar = -self.config.exclusion - 0.7 * evidence.terms
+        return np.asarray(self.placed & (log_likelihood.max(axis=1) < bar))
+
+    def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None
+                ) -> Array:
+        """
+        Draw the excluded clouds anew; return the log-likelihood (V, N) of all particles.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What was heard.
+        log_likelihood : (V, N) float32
+            Of the particles under it.
+        repair : Repair, optional
+            For those drawn anew.
+        """
+        excluded = self.excluded(evidence, log_likelihood)
+        if not excluded.any():
+            return log_likelihood
+        self.place_again(excluded, evidence, repair)
+        return evidence.log_likelihood(self.particles)
+
+    def weigh(self, log_likelihood: Array) -> None:
+        """Multiply the weights by the likelihood of the evidence (V, N)."""
+        with np.errstate(divide='ignore'):
+            log_weights = np.log(self.weights) + log_likelihood
+        self.weights, self._log_likelihood = normalize(log_weights)
         # Particles just drawn from this very evidence would count it twice.
-        self.log_weights = np.where(self._drawn[:, None], self.log_weights, weighed)
+        self._equalize(self._drawn)
         self._drawn[:] = False
 
     def estimate(self, observation: Observation) -> Estimate:
         """Return the weighted mean and covariance of every vehicle's cloud."""
-        weights, _ = normalize(self.log_weights)
-        mean, covariance = moments(self.particles, weights)
+        mean, covariance = moments(self.particles, self.weights)
         mean[~self.placed] = np.nan
         covariance[~self.placed] = np.nan
-        rotation, rotation_variance = self._rotation(weights)
+        rotation, rotation_variance = self._rotation()
         heard = observation.heard.sum(axis=1)
         return Estimate(
             stamp=observation.stamp, mean=mean, covariance=covariance,
             rotation=rotation, rotation_variance=rotation_variance,
-            ess=effective_sample_size(weights), particles=self.states.shape[1],
+            ess=effective_sample_size(self.weights), particles=self.states.shape[1],
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
     def resample(self) -> None:
         """Resample the clouds whose effective sample size has fallen too low."""
-        weights, _ = normalize(self.log_weights)
-        count = weights.shape[1]
+        count = self.weights.shape[1]
         low = self.placed & (
-            effective_sample_size(weights) < self.config.resample_threshold * count)
+            effective_sample_size(self.weights) < self.config.resample_threshold * count)
         if not low.any():
             return
-        index = systematic_resample(weights[low], count, self.rng)
+        index = systematic_resample(self.weights[low], count, self.rng)
         states = np.take_along_axis(self.states[low], index[:, :, None], axis=1)
         position = states[:, :, :self.dimension]
         noise = self.rng.standard_normal(position.shape, np.float32)
         position += np.float32(self.config.jitter) * spread(position)[:, None, None] * noise
         self.states[low] = states
-        self.log_weights[low] = 0
+        self._equalize(low)
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
@@ -166,20 +188,26 @@ class Cloud:
         candidates = low + (high - low) * self.rng.random(shape, np.float32)
         owner = np.repeat(vehicle, many)
         flat = candidates.reshape(-1, self.dimension)
+        likelihood = evidence.log_likelihood_of(flat, owner)
         if repair is not None:
-            flat = repair(flat, owner, np.repeat(spread(candidates), many), evidence)
-        likelihood = evidence.log_likelihood_of(flat, owner).reshape(shape[:2])
-        weights, _ = normalize(likelihood)
+            flat, likelihood = repair(
+                flat, likelihood, owner, np.repeat(spread(candidates), many), evidence)
+        weights, _ = normalize(likelihood.reshape(shape[:2]))
         index = systematic_resample(weights, few, self.rng)
         self.states[vehicle, :, :self.dimension] = np.take_along_axis(
             flat.reshape(shape), index[:, :, None], axis=1)
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
-        self.log_weights[vehicle] = 0
+        self._equalize(vehicle)
         self.placed[vehicle] = True
         self._drawn[vehicle] = True
 
-    def _rotation(self, weights: Array) -> tuple[Array, Array]:
+    def _equalize(self, vehicle: Array | int) -> None:
+        """Give some vehicles' particles equal weights."""
+        self.weights[vehicle] = 1 / self.weights.shape[1]
+
+    def _rotation(self) -> tuple[Array, Array]:
         """Return circular mean and variance (V,) of the headings, NaN where there are none."""
+        weights = self.weights
         if not self.motion.heading:
             unknown = np.full(len(weights), np.nan)
             return unknown, unknown

@@ -17,14 +17,13 @@ def normalize(log_weights: Array) -> tuple[Array, Array]:
     A cloud without any weight left gets equal weights and a total of -inf.
     """
     peak = log_weights.max(axis=1, keepdims=True)
-    peak = np.where(np.isfinite(peak), peak, 0)
-    weights = np.exp(log_weights - peak)
-    total = weights.sum(axis=1, keepdims=True, dtype=np.float64)
-    empty = total == 0
-    with np.errstate(divide='ignore'):
-        log_total = (np.log(total) + peak)[:, 0]
-    weights = np.where(empty, 1 / log_weights.shape[1], weights / np.where(empty, 1, total))
-    return weights.astype(np.float32), log_total
+    empty = np.isneginf(peak)
+    weights = np.exp(log_weights - np.where(empty, 0, peak))
+    total = weights.sum(axis=1, keepdims=True)
+    if empty.any():
+        weights[empty[:, 0]], total[empty] = 1, log_weights.shape[1]
+    weights /= total
+    return weights, np.where(empty, peak, np.log(total) + peak)[:, 0]
 
 
 def effective_sample_size(weights: Array) -> Array:

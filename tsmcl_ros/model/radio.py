@@ -1,21 +1,24 @@
-"""
-Radio channels: one object simulates what is heard and scores where that is likely.
-
-Scoring splits an observation into factors, one a kind of evidence. Every factor works on arrays
-laid out (V, E, P), references before points, so that sums over references run along contiguous
-memory. All log-likelihoods are relative to their peak: at most 0, exp() of them in [0, 1].
-"""
+"""Radio channels: one object simulates what is heard and scores where that is likely."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
-from typing import Protocol
 
 import numpy as np
-from scipy.special import log_ndtr
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.calibration import RangeCalibration
+from tsmcl_ros.model.evidence import (
+    column,
+    DiskBoundary,
+    Evidence,
+    Factor,
+    Power,
+    Ranging,
+    References,
+    ShadowedBoundary,
+)
+from tsmcl_ros.model.geometry import intersect_boxes
 from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
 
 
@@ -156,238 +159,6 @@ class Heard:
     rssi: Array
 
 
-class Factor(Protocol):
-    """One kind of evidence of V vehicles, E references each (padded ones score 0)."""
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): the sum over references at points (V, P, D) [m]."""
-
-    def at(self, vehicle: Array) -> Factor:
-        """Return the factor for a flat list of points (1, M, D) of the vehicles (M,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class References:
-    """
-    The positions that a factor's evidence is about.
-
-    Attributes
-    ----------
-    position : (D, V, E, 1) float32
-        [m].
-    covariance : (D, D, V, E, 1) float32 or None
-        [m^2]; None if all are exactly known.
-    """
-
-    position: Array
-    covariance: Array | None
-
-    def distance(self, points: Array) -> tuple[Array, Array | None]:
-        """
-        Return the distances (V, E, P) [m] of points (V, P, D), and what is uncertain of them.
-
-        The second value is the references' variance along the line of sight (V, E, P) [m^2],
-        u^T S u, or None if all are exactly known.
-        """
-        delta = [points[:, None, :, axis] - position
-                 for axis, position in enumerate(self.position)]
-        squared = delta[0] * delta[0]
-        for axis in delta[1:]:
-            squared += axis * axis
-        if self.covariance is None:
-            return np.sqrt(squared), None
-        variance = sum(
-            delta[i] * delta[j] * self.covariance[i, j]
-            for i in range(len(delta)) for j in range(len(delta))
-        )
-        return np.sqrt(squared), variance / np.maximum(squared, np.float32(1e-6))
-
-    def at(self, vehicle: Array) -> References:
-        """Return the references for a flat list of points of the vehicles (M,)."""
-        return References(
-            _flat(self.position, vehicle),
-            None if self.covariance is None else _flat(self.covariance, vehicle),
-        )
-
-
-def _flat(column: Array, vehicle: Array) -> Array:
-    """Lay out columns (..., V, E, 1) for a flat list of points of M vehicles: (..., 1, E, M)."""
-    return np.swapaxes(column[..., 0].take(vehicle, axis=-2), -1, -2)[..., None, :, :]
-
-
-@dataclass(frozen=True, eq=False)
-class DiskBoundary:
-    """
-    Inside or outside of soft-edged disks: heard, silent and relayed beacons alike.
-
-    log p = -log(1 + exp(side (d - R) / s)), with side 1 for heard and -1 for silent; a relayed
-    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1).
-    """
-
-    references: References
-    radius: Array
-    softness: Array
-    side: Array
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): see `Factor`."""
-        distance, variance = self.references.distance(points)
-        softness = self.softness
-        if variance is not None:
-            # A logistic curve of width s lies within 0.01 of a Gaussian's of std 1.702 s.
-            softness = np.sqrt(softness * softness + variance / np.float32(1.702 ** 2))
-        return -_softplus(self.side * (distance - self.radius) / softness).sum(axis=1)
-
-    def at(self, vehicle: Array) -> DiskBoundary:
-        """Return the factor for a flat list of points: see `Factor`."""
-        return DiskBoundary(self.references.at(vehicle), *(
-            _flat(column, vehicle) for column in (self.radius, self.softness, self.side)))
-
-
-@dataclass(frozen=True, eq=False)
-class ShadowedBoundary:
-    """
-    Heard or not under log-normal shadowing.
-
-    p = Phi(side 10 n log10(R / d) / sigma_db), with R where the mean rssi meets the sensitivity.
-    Columns are (V, E, 1).
-    """
-
-    references: References
-    radius: Array
-    side: Array
-    slope: Array
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): see `Factor`."""
-        distance, variance = self.references.distance(points)
-        distance = np.maximum(distance, np.float32(1e-3))
-        excess = self.side * self.slope * np.log10(self.radius / distance)
-        if variance is not None:
-            excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
-        return np.asarray(log_ndtr(excess).sum(axis=1))
-
-    def at(self, vehicle: Array) -> ShadowedBoundary:
-        """Return the factor for a flat list of points: see `Factor`."""
-        return ShadowedBoundary(self.references.at(vehicle), *(
-            _flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
-
-
-@dataclass(frozen=True, eq=False)
-class Power:
-    """
-    Received power around the path-loss curve, Gaussian in dB, with a uniform floor.
-
-    Equivalently log-normal in distance, so near references weigh more. Columns are (V, E, 1);
-    `weight` is 0 where padded.
-    """
-
-    references: References
-    excess: Array
-    weight: Array
-    slope: Array
-    floor: float
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): see `Factor`."""
-        distance, variance = self.references.distance(points)
-        distance = np.maximum(distance, np.float32(1e-3))
-        residual = self.excess + self.slope * np.log10(distance)
-        squared = residual * residual
-        if variance is not None:
-            squared = squared / _power_variance(self.slope, variance, distance)
-        return _heavy_tailed(self.weight * squared, self.floor).sum(axis=1)
-
-    def at(self, vehicle: Array) -> Power:
-        """Return the factor for a flat list of points: see `Factor`."""
-        return replace(
-            self, references=self.references.at(vehicle),
-            excess=_flat(self.excess, vehicle), weight=_flat(self.weight, vehicle),
-            slope=_flat(self.slope, vehicle))
-
-
-@dataclass(frozen=True, eq=False)
-class Ranging:
-    """
-    Measured ranges around scale * distance + bias, Gaussian, with a uniform floor.
-
-    Columns are (V, E, 1); `precision` [1/m^2] is 0 where padded.
-    """
-
-    references: References
-    measured: Array
-    precision: Array
-    scale: float
-    bias: float
-    floor: float
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): see `Factor`."""
-        distance, variance = self.references.distance(points)
-        residual = self.measured - self.bias - self.scale * distance
-        precision = self.precision
-        if variance is not None:
-            precision = precision / (1 + precision * self.scale ** 2 * variance)
-        return _heavy_tailed(precision * residual * residual, self.floor).sum(axis=1)
-
-    def at(self, vehicle: Array) -> Ranging:
-        """Return the factor for a flat list of points: see `Factor`."""
-        return replace(
-            self, references=self.references.at(vehicle),
-            measured=_flat(self.measured, vehicle), precision=_flat(self.precision, vehicle))
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """
-    All that an observation says of V vehicles' positions.
-
-    Attributes
-    ----------
-    factors : tuple of Factor
-        Their log-likelihoods add up.
-    terms : (V,) float32
-        Number of terms in that sum, at least 1.
-    heard : (V,) bool
-        False for a vehicle that heard nothing; its likelihood is 1 everywhere.
-    box : (V, 2, D) float32
-        Lower and upper corner [m] of a region that holds all likely positions.
-    """
-
-    factors: tuple[Factor, ...]
-    terms: Array
-    heard: Array
-    box: Array
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P) float32 at points (V, P, D) or shared ones (1, P, D) [m]."""
-        total = np.zeros((len(self.heard), points.shape[1]), np.float32)
-        for factor in self.factors:
-            total += factor.log_likelihood(points)
-        return total
-
-    @property
-    def presence(self) -> Evidence:
-        """Only who was heard and who was silent."""
-        return replace(self, factors=tuple(
-            factor for factor in self.factors
-            if isinstance(factor, (DiskBoundary, ShadowedBoundary))))
-
-    @property
-    def measured(self) -> Evidence:
-        """Only what was measured: ranges and rssi."""
-        return replace(self, factors=tuple(
-            factor for factor in self.factors if isinstance(factor, (Ranging, Power))))
-
-    def log_likelihood_of(self, points: Array, vehicle: Array) -> Array:
-        """Return (M,) float32 of a flat list of points (M, D) [m] of the vehicles (M,)."""
-        total = np.zeros(len(points), np.float32)
-        for factor in self.factors:
-            flat = factor if len(self.heard) == 1 else factor.at(vehicle)
-            total += flat.log_likelihood(points[None])[0]
-        return total
-
-
 class Channel:
     """
     The radio between senders and vehicles.
@@ -481,10 +252,11 @@ class Channel:
             switches.use_rssi and radio.radio_model == 'lognormal')
         radius = self._radius(observation.max_range, observation.sender)
         bounded = rows & (radius > 0) & ~powered & switches.use_heard
-        references = _references(observation.position, observation.covariance)
 
         factors: list[Factor] = []
         terms = np.zeros(len(heard), np.float32)
+        if ranged.any() or powered.any():
+            references = References.lay_out(observation.position, observation.covariance)
         if ranged.any():
             factors.append(self._ranging(references, observation, ranged))
             terms += ranged.sum(axis=1)
@@ -492,8 +264,8 @@ class Channel:
             loss = self.path_loss(observation.sender)
             excess = (np.where(powered, observation.rssi, 0) - loss.reference) / loss.sigma
             factors.append(Power(
-                references, excess=_column(excess), weight=_column(powered),
-                slope=_column(loss.slope), floor=self._floor))
+                references, excess=column(excess), weight=column(powered),
+                slope=column(loss.slope), floor=self._floor))
             terms += powered.sum(axis=1)
         boundary = self._boundary(observation, bounded, radius, heard)
         if boundary is not None:
@@ -501,7 +273,7 @@ class Channel:
             terms += np.isfinite(boundary.radius).sum(axis=(1, 2))
         return Evidence(
             factors=tuple(factors), terms=np.maximum(terms, 1), heard=heard,
-            box=self._box(observation, ranged, powered, bounded, radius))
+            region=lambda: self._box(observation, ranged, powered, bounded, radius))
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
         """Learn from an epoch what the ranges are like, if that is switched on."""
@@ -530,8 +302,8 @@ class Channel:
                  ) -> Ranging:
         std = self._range_std(observation)
         return Ranging(
-            references, measured=_column(np.where(ranged, observation.range, 0)),
-            precision=_column(np.where(ranged, 1 / np.maximum(std, 1e-3) ** 2, 0)),
+            references, measured=column(np.where(ranged, observation.range, 0)),
+            precision=column(np.where(ranged, 1 / np.maximum(std, 1e-3) ** 2, 0)),
             scale=self.calibration.scale, bias=self.calibration.bias, floor=self._floor)
 
     def _boundary(self, observation: Observation, bounded: Array, radius: Array, heard: Array
@@ -554,13 +326,13 @@ class Channel:
             return None
         sender, position, covariance, used, reach, side = (
             np.concatenate(parts, axis=1) for parts in zip(*groups, strict=True))
-        references = _references(position, covariance)
+        references = References.lay_out(position, covariance)
         # A padded column has an infinite radius and stands inside of it: it scores 0.
-        reach = _column(np.where(used, reach, np.inf))
-        side = _column(np.where(used, side, 1))
+        reach = column(np.where(used, reach, np.inf))
+        side = column(np.where(used, side, 1))
         if self.radio.radio_model == 'lognormal':
             return ShadowedBoundary(
-                references, reach, side, _column(self.path_loss(sender).slope))
+                references, reach, side, column(self.path_loss(sender).slope))
         softness = np.where(np.isfinite(reach), np.float32(0.02) * reach, 1)
         if self.radio.edge_softness > 0:
             softness = np.full_like(reach, self.radio.edge_softness)
@@ -583,67 +355,4 @@ class Channel:
         reach = np.where(powered, by_power, reach)
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))
         reach = reach[:, :, None] + spread
-        return _intersect(observation.position, reach, observation.heard)
-
-
-def _intersect(position: Array, reach: Array, rows: Array) -> Array:
-    """
-    Intersect the boxes position +- reach (V, K, D) [m] of the rows used (V, K).
-
-    Where they contradict each other the smallest one is taken; where none is bounded, the box
-    around the references themselves, grown by its own size.
-    """
-    if not rows.shape[1]:
-        return np.zeros((rows.shape[0], 2, position.shape[2]), np.float32)
-    used = rows[:, :, None]
-    low = np.where(used, position - reach, -np.inf).max(axis=1)
-    high = np.where(used, position + reach, np.inf).min(axis=1)
-    smallest = np.where(used, reach, np.inf).min(axis=2).argmin(axis=1)
-    single = np.arange(len(rows)), smallest
-    empty = (low > high).any(axis=1, keepdims=True)
-    low = np.where(empty, position[single] - reach[single], low)
-    high = np.where(empty, position[single] + reach[single], high)
-    outer_low = np.where(used, position, np.inf).min(axis=1)
-    outer_high = np.where(used, position, -np.inf).max(axis=1)
-    size = np.maximum((outer_high - outer_low).max(axis=1, keepdims=True), 1)
-    unbounded = ~(np.isfinite(low) & np.isfinite(high)).all(axis=1, keepdims=True)
-    low = np.where(unbounded, outer_low - size, low)
-    high = np.where(unbounded, outer_high + size, high)
-    box = np.stack([low, high], axis=1)
-    return np.where(rows.any(axis=1)[:, None, None], box, 0).astype(np.float32)
-
-
-def _column(values: Array) -> Array:
-    """Lay out per-reference values (V, E) against points: (V, E, 1) float32."""
-    return np.asarray(values, np.float32)[:, :, None]
-
-
-def _references(position: Array, covariance: Array) -> References:
-    """Lay out positions (V, E, D) and covariances (V, E, D, D) against points."""
-    return References(
-        np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None],
-        np.moveaxis(covariance, (2, 3), (0, 1))[..., None] if covariance.any() else None,
-    )
-
-
-def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:
-    """
-    Return the variance of received power, in sigma_db^2.
-
-    To the shadowing comes what the reference's variance [m^2] along the line of sight makes of
-    the path loss at this distance [m].
-    """
-    return np.asarray(1 + (slope / math.log(10)) ** 2 * variance / distance ** 2)
-
-
-def _softplus(x: Array) -> Array:
-    """Return log(1 + exp(x)) without overflow, in the fast float32 functions."""
-    return np.asarray(np.maximum(x, 0) + np.log(1 + np.exp(-np.abs(x))))
-
-
-def _heavy_tailed(squared: Array, floor: float) -> Array:
-    """Return log((1 - floor) exp(-squared / 2) + floor) for the squared normalized residual."""
-    if floor == 0:
-        return np.float32(-0.5) * squared
-    return np.log((1 - np.float32(floor)) * np.exp(np.float32(-0.5) * squared)
-                  + np.float32(floor))
+        return intersect_boxes(observation.position, reach, observation.heard)

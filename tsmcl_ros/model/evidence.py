@@ -1,0 +1,301 @@
+"""
+Evidence: how likely positions are, given what was heard, split into factors by kind.
+
+Every factor works on arrays laid out (V, E, P), references before points, so that sums over
+references run along contiguous memory. All log-likelihoods are relative to their peak: at most 0,
+exp() of them in [0, 1].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+import math
+from typing import Protocol
+
+import numpy as np
+from scipy.special import log_ndtr
+from tsmcl_ros.types import Array
+
+
+class Factor(Protocol):
+    """One kind of evidence of V vehicles, E references each (padded ones score 0)."""
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): the sum over references at points (V, P, D) [m]."""
+
+    def at(self, vehicle: Array) -> Factor:
+        """Return the factor for a flat list of points (1, M, D) of the vehicles (M,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class References:
+    """
+    The positions that a factor's evidence is about.
+
+    Attributes
+    ----------
+    position : (D, V, E, 1) float32
+        [m].
+    covariance : (D, D, V, E, 1) float32 or None
+        [m^2]; None if all are exactly known.
+    """
+
+    position: Array
+    covariance: Array | None
+
+    @classmethod
+    def lay_out(cls, position: Array, covariance: Array) -> References:
+        """Lay out positions (V, E, D) and covariances (V, E, D, D) against points."""
+        return cls(
+            np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None],
+            np.moveaxis(covariance, (2, 3), (0, 1))[..., None] if covariance.any() else None,
+        )
+
+    def distance(self, points: Array) -> tuple[Array, Array | None]:
+        """
+        Return the distances (V, E, P) [m] of points (V, P, D), and what is uncertain of them.
+
+        The second value is the references' variance along the line of sight (V, E, P) [m^2],
+        u^T S u, or None if all are exactly known.
+        """
+        delta = [points[:, None, :, axis] - position
+                 for axis, position in enumerate(self.position)]
+        squared = delta[0] * delta[0]
+        for axis in delta[1:]:
+            squared += axis * axis
+        if self.covariance is None:
+            return np.sqrt(squared, out=squared), None
+        variance = sum(
+            delta[i] * delta[j] * self.covariance[i, j]
+            for i in range(len(delta)) for j in range(len(delta))
+        )
+        return np.sqrt(squared), variance / np.maximum(squared, np.float32(1e-6))
+
+    def at(self, vehicle: Array) -> References:
+        """Return the references for a flat list of points of the vehicles (M,)."""
+        return References(
+            _flat(self.position, vehicle),
+            None if self.covariance is None else _flat(self.covariance, vehicle),
+        )
+
+
+def _flat(column: Array, vehicle: Array) -> Array:
+    """Lay out columns (..., V, E, 1) for a flat list of points of M vehicles: (..., 1, E, M)."""
+    return np.swapaxes(column[..., 0].take(vehicle, axis=-2), -1, -2)[..., None, :, :]
+
+
+@dataclass(frozen=True, eq=False)
+class DiskBoundary:
+    """
+    Inside or outside of soft-edged disks: heard, silent and relayed beacons alike.
+
+    log p = -log(1 + exp(side (d - R) / s)), with side 1 for heard and -1 for silent; a relayed
+    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1).
+    """
+
+    references: References
+    radius: Array
+    softness: Array
+    side: Array
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): see `Factor`."""
+        distance, variance = self.references.distance(points)
+        softness = self.softness
+        if variance is not None:
+            # A logistic curve of width s lies within 0.01 of a Gaussian's of std 1.702 s.
+            softness = np.sqrt(softness * softness + variance / np.float32(1.702 ** 2))
+        distance -= self.radius
+        distance *= self.side / softness
+        return -_softplus(distance).sum(axis=1)
+
+    def at(self, vehicle: Array) -> DiskBoundary:
+        """Return the factor for a flat list of points: see `Factor`."""
+        return DiskBoundary(self.references.at(vehicle), *(
+            _flat(column, vehicle) for column in (self.radius, self.softness, self.side)))
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowedBoundary:
+    """
+    Heard or not under log-normal shadowing.
+
+    p = Phi(side 10 n log10(R / d) / sigma_db), with R where the mean rssi meets the sensitivity.
+    Columns are (V, E, 1).
+    """
+
+    references: References
+    radius: Array
+    side: Array
+    slope: Array
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): see `Factor`."""
+        distance, variance = self.references.distance(points)
+        distance = np.maximum(distance, np.float32(1e-3))
+        excess = self.side * self.slope * np.log10(self.radius / distance)
+        if variance is not None:
+            excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
+        return np.asarray(log_ndtr(excess).sum(axis=1))
+
+    def at(self, vehicle: Array) -> ShadowedBoundary:
+        """Return the factor for a flat list of points: see `Factor`."""
+        return ShadowedBoundary(self.references.at(vehicle), *(
+            _flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
+
+
+@dataclass(frozen=True, eq=False)
+class Power:
+    """
+    Received power around the path-loss curve, Gaussian in dB, with a uniform floor.
+
+    Equivalently log-normal in distance, so near references weigh more. Columns are (V, E, 1);
+    `weight` is 0 where padded.
+    """
+
+    references: References
+    excess: Array
+    weight: Array
+    slope: Array
+    floor: float
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): see `Factor`."""
+        distance, variance = self.references.distance(points)
+        distance = np.maximum(distance, np.float32(1e-3))
+        residual = self.excess + self.slope * np.log10(distance)
+        squared = residual * residual
+        if variance is not None:
+            squared = squared / _power_variance(self.slope, variance, distance)
+        return _heavy_tailed(self.weight * squared, self.floor).sum(axis=1)
+
+    def at(self, vehicle: Array) -> Power:
+        """Return the factor for a flat list of points: see `Factor`."""
+        return replace(
+            self, references=self.references.at(vehicle),
+            excess=_flat(self.excess, vehicle), weight=_flat(self.weight, vehicle),
+            slope=_flat(self.slope, vehicle))
+
+
+@dataclass(frozen=True, eq=False)
+class Ranging:
+    """
+    Measured ranges around scale * distance + bias, Gaussian, with a uniform floor.
+
+    Columns are (V, E, 1); `precision` [1/m^2] is 0 where padded.
+    """
+
+    references: References
+    measured: Array
+    precision: Array
+    scale: float
+    bias: float
+    floor: float
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): see `Factor`."""
+        distance, variance = self.references.distance(points)
+        residual = self.measured - self.bias - self.scale * distance
+        precision = self.precision
+        if variance is not None:
+            precision = precision / (1 + precision * self.scale ** 2 * variance)
+        return _heavy_tailed(precision * residual * residual, self.floor).sum(axis=1)
+
+    def at(self, vehicle: Array) -> Ranging:
+        """Return the factor for a flat list of points: see `Factor`."""
+        return replace(
+            self, references=self.references.at(vehicle),
+            measured=_flat(self.measured, vehicle), precision=_flat(self.precision, vehicle))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    All that an observation says of V vehicles' positions.
+
+    Attributes
+    ----------
+    factors : tuple of Factor
+        Their log-likelihoods add up.
+    terms : (V,) float32
+        Number of terms in that sum, at least 1.
+    heard : (V,) bool
+        False for a vehicle that heard nothing; its likelihood is 1 everywhere.
+    region : callable
+        Returns `box`; it is seldom asked for.
+    """
+
+    factors: tuple[Factor, ...]
+    terms: Array
+    heard: Array
+    region: Callable[[], Array]
+
+    @cached_property
+    def box(self) -> Array:
+        """(V, 2, D) float32: corners [m] of a region that holds all likely positions."""
+        return self.region()
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P) float32 at points (V, P, D) or shared ones (1, P, D) [m]."""
+        total = np.zeros((len(self.heard), points.shape[1]), np.float32)
+        for factor in self.factors:
+            total += factor.log_likelihood(points)
+        return total
+
+    @property
+    def presence(self) -> Evidence:
+        """Only who was heard and who was silent."""
+        return replace(self, factors=tuple(
+            factor for factor in self.factors
+            if isinstance(factor, (DiskBoundary, ShadowedBoundary))))
+
+    @property
+    def measured(self) -> Evidence:
+        """Only what was measured: ranges and rssi."""
+        return replace(self, factors=tuple(
+            factor for factor in self.factors if isinstance(factor, (Ranging, Power))))
+
+    def log_likelihood_of(self, points: Array, vehicle: Array) -> Array:
+        """Return (M,) float32 of a flat list of points (M, D) [m] of the vehicles (M,)."""
+        total = np.zeros(len(points), np.float32)
+        for factor in self.factors:
+            flat = factor if len(self.heard) == 1 else factor.at(vehicle)
+            total += flat.log_likelihood(points[None])[0]
+        return total
+
+
+def column(values: Array) -> Array:
+    """Lay out per-reference values (V, E) against points: (V, E, 1) float32."""
+    return np.asarray(values, np.float32)[:, :, None]
+
+
+def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:
+    """
+    Return the variance of received power, in sigma_db^2.
+
+    To the shadowing comes what the reference's variance [m^2] along the line of sight makes of
+    the path loss at this distance [m].
+    """
+    return np.asarray(1 + (slope / math.log(10)) ** 2 * variance / distance ** 2)
+
+
+def _softplus(x: Array) -> Array:
+    """Turn x into log(1 + exp(x)), in place, without overflow, by fast float32 functions."""
+    positive = np.maximum(x, 0)
+    np.abs(x, out=x)
+    np.negative(x, out=x)
+    np.exp(x, out=x)
+    x += 1
+    np.log(x, out=x)
+    x += positive
+    return x
+
+
+def _heavy_tailed(squared: Array, floor: float) -> Array:
+    """Return log((1 - floor) exp(-squared / 2) + floor) for the squared normalized residual."""
+    if floor == 0:
+        return np.float32(-0.5) * squared
+    return np.log((1 - np.float32(floor)) * np.exp(np.float32(-0.5) * squared)
+                  + np.float32(floor))
