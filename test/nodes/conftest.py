@@ -41,6 +41,12 @@ def ros() -> Iterator[Callable[..., None]]:
 
 
 @pytest.fixture
+def probe_class() -> type[Probe]:
+    """Return the class of a test's own node."""
+    return Probe
+
+
+@pytest.fixture
 def probe(ros: Callable[..., None]) -> Iterator[Probe]:
     """Return a node of the test's own, on the wall's time."""
     ros()

@@ -82,6 +82,13 @@ def declare(
     return values
 
 
+def select(values: Mapping[str, Any], configs: Sequence[type[Config]]) -> dict[str, Any]:
+    """Return those of the values that some configs have parameters for."""
+    return {
+        item.name: values[item.name] for config in configs for item in parameters(config)
+    }
+
+
 def _converted(
     changes: Sequence[RosParameter], known: Mapping[str, Parameter],
 ) -> dict[str, Any]:

@@ -85,6 +85,8 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
     ----------
     settings : dict of str to Any
         Value of each parameter by name, kept up to date.
+    follows_clock : bool
+        Time is that of /clock (use_sim_time), not the wall's.
     """
 
     default_name: ClassVar[str]
@@ -102,15 +104,15 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         self._rejections = Rejections(self.get_logger().error)
         self._failure: TsmclError | None = None
         self._recurring: list[_Recurring] = []
-        self._follows_clock = self.get_parameter('use_sim_time').value is True
+        self.follows_clock = self.get_parameter('use_sim_time').value is True
         self._now = math.nan
-        if self._follows_clock:
+        if self.follows_clock:
             self.listen('/clock', messages.CLOCK, self._take_clock, SENSOR_DATA)
 
     @property
     def now(self) -> float:
-        """Time [s]: that of /clock with use_sim_time, NaN before its first; else today's."""
-        return self._now if self._follows_clock else time.time()
+        """Time [s]: that of /clock if the node follows it, NaN before its first; else today's."""
+        return self._now if self.follows_clock else time.time()
 
     def listen(
         self, topic: str, kind: str, heed: Callable[[bytes], None], qos: QoSProfile,
@@ -145,7 +147,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         """
         recurring = _Recurring(period, act)
         self._recurring.append(recurring)
-        if not self._follows_clock:
+        if not self.follows_clock:
             recurring.begin(time.time())
 
     def spin(
@@ -172,15 +174,15 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         while not until():
             left = end - time.monotonic()
             wait = min(_PATIENCE, max(left, 0.0))
-            if not self._follows_clock:
+            if not self.follows_clock:
                 now = time.time()
                 wait = min([wait, *(recurring.next - now for recurring in self._recurring)])
             self._events.spin_once(timeout_sec=max(wait, 0.0))
             self._raise_failure()
             if _asked_to_stop.is_set():
                 raise Stopped
-            if not self._follows_clock:
-                self._pass_time(time.time())
+            if not self.follows_clock:
+                self.pass_time(time.time())
             self._rejections.report()
             if left <= 0:
                 return until()
@@ -195,6 +197,11 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
             self._raise_failure()
             if time.monotonic() - begin >= quiet:
                 return
+
+    def pass_time(self, now: float) -> None:
+        """Take note of the time [s], while spinning: do what recurs."""
+        for recurring in self._recurring:
+            recurring.pass_time(now)
 
     def run(self) -> None:
         """Do what the node is for; here, handle messages for ever."""
@@ -213,11 +220,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
 
     def _take_clock(self, data: bytes) -> None:
         self._now = messages.decode_clock(data)
-        self._pass_time(self._now)
-
-    def _pass_time(self, now: float) -> None:
-        for recurring in self._recurring:
-            recurring.pass_time(now)
+        self.pass_time(self._now)
 
 
 class Rejections:

@@ -1,0 +1,349 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import csv
+from importlib.util import find_spec
+from pathlib import Path
+import signal
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Empty
+from tsmcl_ros import messages
+from tsmcl_ros.bag import Reader
+from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.nodes.fleet import Fleet
+from tsmcl_ros.nodes.localizer import LocalizerNode
+from tsmcl_ros.nodes.runtime import (
+    LATCHED,
+    LATCHED_INPUT,
+    main,
+    Node,
+    RELIABLE,
+    SENSOR_DATA,
+    SETTLING,
+)
+from tsmcl_ros.scripts import import_csv
+from tsmcl_ros.scripts.localize_bag import localize_bag
+from tsmcl_ros.types import Odometry
+from tsmcl_ros.world import make_world, World
+from visualization_msgs.msg import MarkerArray
+import yaml
+
+Start = Callable[..., Any]
+Ros = Callable[..., None]
+PARAMETERS = {'radio_range': 1000.0, 'odom_heading': 'known', 'odom_std': 0.5}
+
+
+def overrides(**settings: object) -> list[str]:
+    return [word for name, value in settings.items()
+            for word in ('-p', f'{name}:={str(value).lower()}')]
+
+
+def world(vehicles: int = 1, seed: int = 2) -> World:
+    return make_world(
+        {'vehicles': vehicles, 'area_x': 3000.0, 'area_y': 3000.0, 'anchor_rows': 3,
+         'anchor_columns': 3, 'radio_range': 1000.0}, np.random.default_rng(seed))
+
+
+class Source:
+    """Publishes what a world's vehicles hear and measure."""
+
+    def __init__(self, node: Node, scene: World, names: list[str]) -> None:
+        self.node, self.world, self.names = node, scene, names
+        self.map = node.talk('/anchor_map', messages.POINT_CLOUD, LATCHED)
+        self.beacons = [node.talk(f'{name}/beacons', messages.POINT_CLOUD, SENSOR_DATA)
+                        for name in names]
+        self.odom = [node.talk(f'{name}/odom', messages.ODOMETRY, SENSOR_DATA) for name in names]
+        self.map.publish(messages.encode_beacons(scene.anchors, 'map')[0])
+
+    def is_heard(self) -> bool:
+        return all(talk.get_subscription_count()
+                   for talk in (self.map, *self.beacons, *self.odom))
+
+    def step(self) -> dict[str, bytes]:
+        """Let one epoch pass, and return what was published by topic."""
+        epoch = self.world.step()
+        sent = {}
+        for i, scan in enumerate(messages.encode_beacons(epoch.observation, 'map')):
+            position = np.append(epoch.odom_position[i], 0.0)
+            odometry = Odometry(epoch.stamp, position, float(epoch.odom_yaw[i]))
+            data = messages.encode_odometry(odometry, 'odom', 'base_link')
+            self.odom[i].publish(data)
+            self.beacons[i].publish(scan)
+            sent |= {f'{self.names[i]}/odom': data, f'{self.names[i]}/beacons': scan}
+        return sent
+
+
+class Scene:
+    """A localizer node and a probe in one process, that talk over DDS."""
+
+    def __init__(self, node: Any, probe: Any) -> None:
+        self.node, self.probe = node, probe
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        """Let both handle messages until the condition holds."""
+        for _ in range(3000):
+            if self.probe.spin(condition, 0.005):
+                return
+            self.node.spin(condition, 0.005)
+        pytest.fail(f'waited in vain for {what}')
+
+    def settle(self) -> None:
+        """Let them find each other."""
+        self.probe.spin(timeout=SETTLING / 2)
+        self.node.spin(timeout=SETTLING / 2)
+
+
+@pytest.fixture
+def begin(ros: Ros, probe_class: Any, tmp_path: Path) -> Iterator[Callable[..., Scene]]:
+    """Start a localizer node with some parameters in namespace /veh_0, beside a probe."""
+    nodes: list[Any] = []
+
+    def begin_one(kind: type[Node] = LocalizerNode, **settings: object) -> Scene:
+        # For this node alone, as the probe has no such parameters.
+        path = tmp_path / 'parameters.yaml'
+        path.write_text(yaml.safe_dump(
+            {f'/**/{kind.default_name}': {'ros__parameters': PARAMETERS | settings}}))
+        ros('-r', '__ns:=/veh_0', '--params-file', str(path))
+        nodes.extend([kind(), probe_class()])
+        return Scene(*nodes)
+
+    yield begin_one
+    for node in nodes:
+        node.close()
+
+
+def offline(sent: list[dict[str, bytes]], scene: World, names: list[str]) -> list[bytes]:
+    """Return the poses that the localizer gives in process for the same messages."""
+    endpoint = Endpoint(Localizer(PARAMETERS, len(names)), names)
+    endpoint.inputs['/anchor_map'][1](messages.encode_beacons(scene.anchors, 'map')[0])
+    poses = []
+    for epoch in sent:
+        for topic, data in epoch.items():
+            endpoint.inputs[topic][1](data)
+        for estimate in endpoint.localizer.due():
+            poses += [data for _, data in endpoint.poses(estimate)]
+    return poses
+
+
+def test_poses_are_those_of_the_localizer_in_process_and_late_joiners_get_the_last(
+    begin: Callable[..., Scene],
+) -> None:
+    scene = begin()
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    scene.settle()
+    sent = []
+    for _ in range(5):
+        sent.append(source.step())
+        scene.until(lambda: len(poses) == len(sent), 'a pose')
+    assert poses == offline(sent, source.world, ['/veh_0'])
+    late = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    scene.until(lambda: bool(late), 'the last pose')
+    assert late == poses[-1:]
+
+
+def test_a_fleet_localizes_its_vehicles_as_one_batch(begin: Callable[..., Scene]) -> None:
+    names = ['/veh_3', '/veh_4']
+    scene = begin(Fleet, vehicles=2, first_vehicle=3)
+    received: list[bytes] = []
+    for name in names:
+        scene.probe.listen(f'{name}/pose', messages.POSE, received.append, LATCHED_INPUT)
+    source = Source(scene.probe, world(vehicles=2), names)
+    scene.until(source.is_heard, 'the fleet to listen')
+    scene.settle()
+    sent = []
+    for _ in range(3):
+        sent.append(source.step())
+        scene.until(lambda: len(received) == 2 * len(sent), 'two poses')
+    assert received == offline(sent, source.world, names)
+
+
+def test_clouds_and_markers_show_what_is_estimated(begin: Callable[..., Scene]) -> None:
+    from geometry_msgs.msg import PoseArray
+
+    scene = begin(cloud_period=0.1, marker_period=0.1)
+    clouds = scene.probe.collect('particle_cloud', messages.POSE_ARRAY)
+    shown = scene.probe.collect('markers', 'visualization_msgs/msg/MarkerArray', LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    scene.settle()
+    source.step()
+    scene.until(lambda: bool(clouds and shown), 'cloud and markers')
+    cloud = deserialize_message(clouds[0], PoseArray)
+    assert (cloud.header.frame_id, cloud.header.stamp.sec) == ('map', 1)
+    assert len(cloud.poses) >= 200
+    markers = deserialize_message(shown[0], MarkerArray).markers
+    assert [sum(marker.ns == name for marker in markers)
+            for name in ('anchors', 'radio_range', 'covariance')] == [9, 9, 1]
+    disk = next(marker for marker in markers if marker.ns == 'radio_range')
+    assert disk.scale.x == 2000.0
+
+
+def test_initial_poses_are_taken_in_the_map_and_ignored_with_a_warning_elsewhere(
+    begin: Callable[..., Scene], capfd: pytest.CaptureFixture[str],
+) -> None:
+    scene = begin()
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    initial = scene.probe.talk('initialpose', messages.POSE, RELIABLE)
+    scene.until(lambda: source.is_heard() and initial.get_subscription_count() > 0, 'listeners')
+    scene.settle()
+    truth = source.world.mobility.state.position[0]
+    for frame in ('odom', 'map'):
+        initial.publish(messages.encode_pose(0.0, frame, truth, 100.0 * np.eye(2), 0.0, 0.1))
+    scene.until(initial.wait_for_all_acked, 'the initial pose to arrive')
+    source.step()
+    scene.until(lambda: bool(poses), 'a pose')
+    mean = messages.decode_pose(poses[0]).position[:2]
+    assert np.linalg.norm(mean - source.world.mobility.state.position[0]) < 60
+    error = capfd.readouterr().err
+    assert error.count('[WARN]') == 1
+    assert "frame_id 'odom' is not allowed, must be 'map'" in error
+
+
+def test_diagnostics_go_from_lost_to_ok_to_stale(begin: Callable[..., Scene]) -> None:
+    scene = begin(stale_after=0.5)
+    told: list[DiagnosticStatus] = []
+    scene.probe.listen(
+        '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray',
+        lambda data: told.extend(deserialize_message(data, DiagnosticArray).status), RELIABLE)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(lambda: source.is_heard() and bool(told), 'the first diagnostics')
+    assert (told[-1].level, told[-1].name) == (DiagnosticStatus.ERROR, 'localizer: /veh_0')
+    scene.settle()
+    source.step()
+    scene.until(lambda: told[-1].level == DiagnosticStatus.OK, 'OK')
+    facts = {item.key: item.value for item in told[-1].values}
+    assert facts['method'] == 'ts_mcl'
+    assert facts['seed'] == '0'
+    assert int(facts['beacons heard']) > 0
+    assert float(facts['effective particles']) > 0
+    scene.until(lambda: told[-1].level == DiagnosticStatus.WARN, 'STALE, as nothing comes')
+    assert told[-1].message.startswith('STALE')
+
+
+def test_services_have_the_names_of_amcl(begin: Callable[..., Scene]) -> None:
+    scene = begin()
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    clients = [scene.probe.create_client(Empty, name) for name in
+               ('request_nomotion_update', 'reinitialize_global_localization')]
+    scene.until(lambda: source.is_heard() and all(c.service_is_ready() for c in clients), 'all')
+    scene.settle()
+    source.step()
+    scene.until(lambda: len(poses) == 1, 'a pose')
+    again = clients[0].call_async(Empty.Request())
+    scene.until(lambda: again.done() and len(poses) == 2, 'the same pose again')
+    assert poses[1] == poses[0]
+    anew = clients[1].call_async(Empty.Request())
+    scene.until(anew.done, 'the answer')
+    source.step()
+    scene.until(lambda: len(poses) == 3, 'a pose from anywhere')
+
+
+def test_time_that_goes_back_is_told_once_and_localization_starts_anew(
+    begin: Callable[..., Scene], capfd: pytest.CaptureFixture[str],
+) -> None:
+    scene = begin(time_jump=2.0)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    scene.settle()
+    for count in range(1, 11):
+        source.step()
+        scene.until(lambda count=count: len(poses) == count, 'a pose')
+        if count == 5:
+            source.world = world()
+    assert poses[:5] == poses[5:]
+    assert capfd.readouterr().err.count('time went back from 5.000 s to 1.000 s') == 1
+
+
+def test_malformed_messages_are_reported_and_the_node_goes_on(
+    probe: Any, start: Start,
+) -> None:
+    localizer = start('nodes.localizer', '--ros-args', '-r', '__ns:=/veh_0',
+                      *overrides(**PARAMETERS))
+    poses = probe.collect('/veh_0/pose', messages.POSE, LATCHED_INPUT)
+    source = Source(probe, world(), ['/veh_0'])
+    probe.expect(source.is_heard, 'the localizer to listen')
+    probe.spin(timeout=SETTLING)
+    good, = messages.encode_beacons(source.world.anchors, 'map')
+    elsewhere, = messages.encode_beacons(source.world.anchors, 'utm')
+    for bad in (b'', b'\0\1\0\0', good[:-40], bytes(len(good)), elsewhere):
+        source.beacons[0].publish(bad)
+        source.odom[0].publish(bad)
+    localizer.wait_for('/veh_0/beacons: message rejected: ')
+    localizer.wait_for('/veh_0/odom: message rejected: ')
+    source.step()
+    probe.expect(lambda: bool(poses), 'a pose')
+    assert localizer.stop(signal.SIGTERM) == 0
+    assert 'messages rejected since the last report' in localizer.output
+    assert 'Traceback' not in localizer.output
+    assert len(localizer.output.splitlines()) <= 8  # throttled
+
+
+def cut(source: Path, target: Path, end: float) -> Path:
+    """Write the beginning of a CSV log [s]."""
+    target.mkdir()
+    for path in source.glob('*.csv'):
+        with path.open(newline='') as rows, (target / path.name).open('w', newline='') as out:
+            reader, writer = csv.reader(rows), csv.writer(out)
+            header = next(reader)
+            writer.writerow(header)
+            writer.writerows(row for row in reader if header[0] != 't' or float(row[0]) < end)
+    return target
+
+
+@pytest.mark.parametrize(('log', 'settings'), [
+    ('plaza1', {'motion_model': 'odometry', 'seed': 3}),
+    ('ble_straight_01', {'motion_model': 'velocity', 'radio_model': 'lognormal', 'seed': 3}),
+])
+def test_a_replay_into_a_running_localizer_gives_what_the_bag_gives_in_process(
+    start: Start, probe: Any, shared_data: Path, tmp_path: Path, log: str,
+    settings: dict[str, object],
+) -> None:
+    cut(shared_data / log, tmp_path / 'log', end=60.0)
+    assert import_csv.main([str(tmp_path / 'log'), str(tmp_path / 'bag')]) == 0
+    localize_bag(str(tmp_path / 'bag'), str(tmp_path / 'offline'), dict(settings))
+    with Reader(tmp_path / 'offline') as bag:
+        expected = [message.data for message in bag.messages(['/veh_0/pose'])]
+    localizer = start('nodes.localizer', '--ros-args', '-r', '__ns:=/veh_0',
+                      *overrides(use_sim_time=True, **settings))
+    localizer.wait_for('1 vehicles')
+    poses = probe.collect('/veh_0/pose', messages.POSE, LATCHED_INPUT)
+    replay = start('nodes.replay', '--ros-args', *overrides(bag='bag', rate=20.0),
+                   '-p', 'wait_for:=["/anchor_map", ".*/beacons"]')
+    probe.expect(lambda: len(poses) == len(expected), f'{len(expected)} poses')
+    assert poses == expected
+    assert replay.wait() == 0
+    assert localizer.stop() == 0
+    assert 'rejected' not in localizer.output
+
+
+@pytest.mark.parametrize(('override', 'complaint'), [
+    ('method:=magic', "method: 'magic' is not allowed, must be one of ts_mcl, mcl, grid"),
+    ('silence:=loud', "silence: 'loud' is not allowed, must be one of none, memory, map"),
+    ('particles:=5', "--ros-args: unknown parameter 'particles', did you mean "),
+])
+@pytest.mark.parametrize('kind', [LocalizerNode, Fleet])
+def test_a_parameter_that_is_not_allowed_is_one_line_and_exit_code_1(
+    capfd: pytest.CaptureFixture[str], kind: type[Node], override: str, complaint: str,
+) -> None:
+    assert main(kind, ['test', '--ros-args', '-p', override]) == 1
+    error = capfd.readouterr().err
+    assert error.startswith(f'{kind.default_name}: {complaint}')
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.skipif(find_spec('tf2_ros') is not None, reason='tf2_ros is installed')
+def test_tf_without_tf2_ros_is_refused_at_start(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(LocalizerNode, ['test', '--ros-args', '-p', 'tf_broadcast:=true']) == 1
+    assert capfd.readouterr().err == (
+        'localizer: tf_broadcast: true is not allowed, tf2_ros is not installed\n')

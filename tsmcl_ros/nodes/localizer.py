@@ -1,0 +1,272 @@
+"""One vehicle's localizer as a node; `fleet` runs many in one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+import math
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import Empty
+from tsmcl_ros import messages
+from tsmcl_ros.config import build, Config, param
+from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.localizer import CONFIGS, Localizer, LOST, OK, STALE
+from tsmcl_ros.nodes import runtime, views
+from tsmcl_ros.nodes.parameters import select
+from tsmcl_ros.nodes.transforms import Broadcaster
+from tsmcl_ros.types import Estimate, MessageError, Observation
+from visualization_msgs.msg import MarkerArray
+
+_NAMES = {OK: 'OK', STALE: 'STALE', LOST: 'LOST'}
+_DIAGNOSTICS_PERIOD = 1.0  # s, real time
+_QOS = {
+    'anchor_map': runtime.LATCHED_INPUT,
+    'beacons': runtime.SENSOR_DATA,
+    'odom': runtime.SENSOR_DATA,
+    'initialpose': runtime.RELIABLE,
+}
+
+
+@dataclass(frozen=True)
+class OutputConfig(Config):
+    """What a localizer publishes beside poses, and in which frames."""
+
+    global_frame_id: str = param('map', 'frame of anchors and poses')
+    odom_frame_id: str = param('odom', 'odometry frame, for TF')
+    base_frame_id: str = param('base_link', "the vehicle's frame, for TF")
+    tf_broadcast: bool = param(
+        False, 'broadcast the transform from map to odom, or to base_link without odometry; '
+        'needs tf2_ros')
+    transform_tolerance: float = param(
+        1.0, 'how far into the future a transform holds', unit='s', low=0)
+    cloud_period: float = param(
+        1.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0)
+    marker_period: float = param(
+        1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0)
+
+
+class LocalizerNode(runtime.Node):
+    """
+    Localizer: tells where a vehicle is, from the beacons that it hears and its odometry.
+
+    Listens to beacons, odom and initialpose in its namespace and to /anchor_map; publishes pose,
+    particle_cloud, markers and /diagnostics.
+    """
+
+    default_name = 'localizer'
+    configs = (OutputConfig, *CONFIGS)
+
+    def __init__(self) -> None:
+        super().__init__()
+        names = self.vehicle_names()
+        self._vehicles = [name or self.get_namespace() for name in names]
+        self._output = build(OutputConfig, self.settings)
+        self._localizer = Localizer(select(self.settings, CONFIGS), len(names))
+        self._endpoint = Endpoint(self._localizer, names, self._output.global_frame_id)
+        self._transforms = self._broadcaster(names) if self._output.tf_broadcast else None
+        self._anchors: Observation | None = None
+        self._estimate: Estimate | None = None
+        self._status = np.full(len(names), LOST)
+        self._latency = math.nan
+        self._arrival = time.monotonic()
+        # What the localizer's time was at the last message, and what /clock showed then.
+        self._told, self._told_at = math.nan, math.nan
+        self._offer()
+        self._subscribe()
+        self.get_logger().info(
+            f'{len(names)} vehicles, method {self._localizer.config.method}, '
+            f'seed {self._localizer.config.seed}')
+
+    def vehicle_names(self) -> list[str]:
+        """Return the namespaces of the vehicles; here one, whose topics are relative."""
+        return ['']
+
+    def pass_time(self, now: float) -> None:
+        """Let the localizer know of time that passes without messages."""
+        super().pass_time(now)
+        if self.follows_clock and not math.isnan(elapsed := now - self._told_at):
+            # Messages have clocks of their own: what counts is how long ago the last one came.
+            self._localizer.clock(self._told + elapsed)
+            self._publish_due()
+
+    def _offer(self) -> None:
+        """Create publishers, services, and the timer of the diagnostics."""
+        outputs = self._endpoint.outputs
+        self._poses = [self.talk(topic, messages.POSE, runtime.LATCHED) for topic in outputs]
+        self._clouds = [
+            self.talk(f'{topic.removesuffix("pose")}particle_cloud', messages.POSE_ARRAY,
+                      runtime.SENSOR_DATA)
+            for topic in outputs if self._output.cloud_period
+        ]
+        self._cloud_rest = Rest(self._output.cloud_period)
+        self._markers = self.create_publisher(MarkerArray, 'markers', runtime.LATCHED)
+        self._marker_rest = Rest(self._output.marker_period)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', runtime.RELIABLE)
+        # By the wall clock: it also tells when nothing comes any more, be it the time.
+        self.create_timer(
+            _DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_service(Empty, 'reinitialize_global_localization', self._reinitialize)
+        self.create_service(Empty, 'request_nomotion_update', self._publish_again)
+
+    def _subscribe(self) -> None:
+        heeds = {'anchor_map': self._heed_map, 'initialpose': self._heed_initial_pose}
+        for topic, (kind, handler) in self._endpoint.inputs.items():
+            name = topic.rpartition('/')[2]
+            self.listen(topic, kind, partial(heeds.get(name, self._heed), handler), _QOS[name])
+
+    def _heed(self, handler: Callable[[bytes], None], data: bytes) -> None:
+        """Hand a message to the localizer, and publish what has become due by it."""
+        self._arrival = time.monotonic()
+        handler(data)
+        self._told, self._told_at = self._localizer.now, self.now
+        self._publish_due()
+
+    def _heed_map(self, handler: Callable[[bytes], None], data: bytes) -> None:
+        handler(data)
+        self._anchors, _ = messages.decode_beacons(data)
+
+    def _heed_initial_pose(self, handler: Callable[[bytes], None], data: bytes) -> None:
+        try:
+            handler(data)
+        except MessageError as error:
+            self.get_logger().warning(f'initial pose ignored: {error}')
+
+    def _publish_due(self) -> None:
+        estimates = self._localizer.due()
+        if not estimates:
+            return
+        for estimate in estimates:
+            self._publish_poses(estimate)
+        self._latency = time.monotonic() - self._arrival
+        if self._estimate is not None and estimates[0].stamp < self._estimate.stamp:
+            self.get_logger().info(
+                f'time went back from {self._estimate.stamp:.3f} s to {estimates[0].stamp:.3f} s: '
+                f'started anew')
+        self._estimate = estimates[-1]
+        self._publish_views(self._estimate)
+        self._note_status()
+
+    def _publish_poses(self, estimate: Estimate) -> None:
+        for vehicle, data in self._endpoint.poses(estimate):
+            self._poses[vehicle].publish(data)
+        if self._transforms is not None:
+            self._transforms.send(estimate)
+
+    def _publish_views(self, estimate: Estimate) -> None:
+        """Publish, not too often, what people look at."""
+        if self._clouds and self._cloud_rest.is_over(estimate.stamp):
+            for publisher, particles in zip(
+                self._clouds, self._localizer.particles, strict=True,
+            ):
+                publisher.publish(messages.encode_pose_array(
+                    estimate.stamp, self._output.global_frame_id, particles))
+        if self._marker_rest.is_over(estimate.stamp):
+            self._markers.publish(views.markers(
+                estimate, self._anchors, self._localizer.channel.radio_range,
+                self._output.global_frame_id))
+
+    def _note_status(self) -> None:
+        """Log changes of the vehicles' status, one line for all that change alike."""
+        status = self._localizer.health.status
+        changed = status != self._status
+        for value in np.unique(status[changed]).tolist():
+            rows = np.flatnonzero(changed & (status == value)).tolist()
+            self.get_logger().info(f'{_NAMES[value]}: {_enumerate(self._vehicles, rows)}')
+        self._status = status
+        if changed.any():
+            self._diagnose()
+
+    def _diagnose(self) -> None:
+        """Publish how each vehicle's localization is doing."""
+        health, estimate = self._localizer.health, self._estimate
+        status = health.status
+        silence = time.monotonic() - self._arrival
+        if silence > self._localizer.config.stale_after:
+            status = np.maximum(status, STALE)
+        common: dict[str, Any] = {
+            'method': self._localizer.config.method, 'seed': self._localizer.config.seed,
+            'latency [s]': self._latency, 'time since the last message [s]': silence,
+        }
+        facts = [
+            common | {'age of the last beacon [s]': float(health.age[vehicle]),
+                      're-initialisations': int(health.reinitializations[vehicle])}
+            | ({} if estimate is None else {
+                'particles': estimate.particles,
+                'effective particles': float(estimate.ess[vehicle]),
+                'beacons heard': int(estimate.heard[vehicle]),
+            })
+            for vehicle in range(len(self._vehicles))
+        ]
+        self._diagnostics.publish(views.diagnostics(
+            self.get_clock().now().to_msg(), self.get_name(), self._vehicles, status, facts))
+
+    def _reinitialize(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
+        for vehicle in range(len(self._vehicles)):
+            self._localizer.reinitialize(vehicle)
+        self.get_logger().info('re-initialised as asked for')
+        return response
+
+    def _publish_again(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
+        """Publish the latest estimate again: updates do not wait for motion here."""
+        if self._estimate is not None:
+            self._publish_poses(self._estimate)
+            self._cloud_rest.end()
+            self._marker_rest.end()
+            self._publish_views(self._estimate)
+        return response
+
+    def _broadcaster(self, names: list[str]) -> Broadcaster:
+        output = self._output
+        return Broadcaster(
+            self, output.global_frame_id, output.odom_frame_id, output.base_frame_id,
+            [f'{name[1:]}/' if name else '' for name in names], output.transform_tolerance)
+
+
+class Rest:
+    """
+    A time of rest between two publications.
+
+    Parameters
+    ----------
+    period : float
+        [s]; with 0 it never ends.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._begin = -math.inf
+
+    def is_over(self, stamp: float) -> bool:
+        """Tell whether it is over, and if so begin anew."""
+        # Time may have gone back.
+        over = self._period > 0 and not 0 <= stamp - self._begin < self._period - 1e-6
+        if over:
+            self._begin = stamp
+        return over
+
+    def end(self) -> None:
+        """Let it be over."""
+        self._begin = -math.inf
+
+
+def _enumerate(vehicles: list[str], rows: list[int], most: int = 5) -> str:
+    """Return some vehicles' names, and how many more there are."""
+    named = ', '.join(vehicles[row] for row in rows[:most])
+    return named if len(rows) <= most else f'{named} and {len(rows) - most} more'
+
+
+def main() -> int:
+    """Run the node and return the exit code."""
+    return runtime.main(LocalizerNode)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
