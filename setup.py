@@ -8,7 +8,7 @@ NAME = 'tsmcl_ros'
 VERSION = '0.1.0'
 
 NODES = ('anchor', 'fleet', 'localizer', 'recorder', 'replay', 'simulator')
-SCRIPTS = ('demo', 'evaluate', 'experiment', 'import_csv', 'localize_bag')
+SCRIPTS = ('demo', 'evaluate', 'experiment', 'fit_path_loss', 'import_csv', 'localize_bag')
 
 # The lower bounds are what Jazzy's own platform, Ubuntu 24.04, ships or what came out in its time;
 # test/oldest.txt pins them and `make test-oldest` runs the suite there.

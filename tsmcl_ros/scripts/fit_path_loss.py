@@ -1,0 +1,82 @@
+"""Fit path losses to CSV logs with ground truth, as parameters for a localizer."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import math
+from pathlib import Path
+import shlex
+import sys
+
+from tsmcl_ros.csv_log import read_log
+from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join, Samples
+from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.types import LogError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fit from the command line and return the exit code."""
+    return run_script(_fit, arguments)
+
+
+def _fit(arguments: Sequence[str] | None) -> None:
+    options = _parser().parse_args(arguments)
+    pooled, single, left = fit_anchors(
+        join(_read(path, options.min_distance) for path in options.logs))
+    for identity, reason in left.items():
+        print(f'note: anchor {identity} has the path loss of all together: {reason}',
+              file=sys.stderr)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    text = (f'# Path losses fitted to {pooled.beacons} beacons of {len(single) + len(left)} '
+            f'anchors, P_0 at 1 m:\n#     {shlex.join(["fit_path_loss", *given])}\n'
+            + as_parameters(pooled, single, options.inflate))
+    if options.out is None:
+        print(text, end='')
+        return
+    with options.out.open('x', encoding='utf-8') as file:
+        file.write(text)
+    print(f'{options.out}: the path loss of all anchors, and {len(single)} of single ones')
+
+
+def _read(path: str, min_distance: float) -> Samples:
+    """Read what one log has to fit to."""
+    log = read_log(path)
+    for note in log.notes:
+        print(f'note: {note}', file=sys.stderr)
+    try:
+        return gather(log, min_distance)
+    except LogError as error:
+        raise LogError(f'{path}: {error}') from None
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='fit_path_loss',
+        description='Fit the path loss of each anchor, and of all together, to the rssi in CSV '
+                    'logs with ground truth, and print a ROS parameter file for the localizer.',
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument('logs', nargs='+', metavar='LOG', help='folder of a log')
+    parser.add_argument('--inflate', type=_positive, default=1.0, metavar='FACTOR',
+                        help='multiply each sigma_db: successive rssi share their shadowing, so '
+                             'a beacon tells less than it would by itself')
+    parser.add_argument('--min-distance', type=_positive, default=0.5, metavar='M',
+                        help='shorter distances count as this one [m]')
+    parser.add_argument('--out', type=Path, metavar='FILE',
+                        help='write the parameters to this file, which must not exist, instead')
+    return parser
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a number above 0')
+    return value
+
+
+if __name__ == '__main__':
+    sys.exit(main())
