@@ -266,8 +266,8 @@ def receive(
     """
     vehicles, dimension = position.shape
     sent = senders.vehicle(0).project(dimension)
-    vehicle, sender, distance = _within(_reach(channel), position, sent.position[0])
-    measured = channel.hear(distance[None], rng)
+    vehicle, sender, distance = _within(channel.reach, position, sent.position[0])
+    measured = channel.hear(distance[None], rng, sent.sender[:, sender])
     mask = measured.mask[0]
     if drop_rate > 0:
         mask = mask & (rng.random(mask.shape) >= drop_rate)
@@ -362,15 +362,6 @@ def make_world(settings: Mapping[str, Any], rng: np.random.Generator) -> World:
     anchors = anchor_table(lay_out(build(AnchorConfig, settings), dimension, anchor_rng))
     channel = Channel(build(RadioConfig, settings))
     return World(build(WorldConfig, settings), channel, mobility, anchors, rng)
-
-
-def _reach(channel: Channel) -> float:
-    """Return the distance [m] beyond which nothing is heard."""
-    radio = channel.radio
-    if radio.radio_model == 'disk':
-        return channel.radio_range
-    # Five standard deviations of shadowing: one beacon in three million carries further.
-    return channel.radio_range * 10 ** (0.5 * radio.sigma_db / radio.path_loss_exponent)
 
 
 def _within(reach: float, vehicles: Array, senders: Array) -> tuple[Array, Array, Array]:

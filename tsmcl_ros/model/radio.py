@@ -190,6 +190,15 @@ class Channel:
             return self.radio.radio_range
         return float(self._path_loss.distance(self.radio.sensitivity)[-1])
 
+    @property
+    def reach(self) -> float:
+        """Distance [m] beyond which nothing is heard; 0 if unknown."""
+        if self.radio.radio_model == 'disk':
+            return self.radio.radio_range
+        # Five standard deviations of shadowing: one beacon in three million carries further.
+        loss = self._path_loss
+        return float(loss.distance(self.radio.sensitivity - 5 * loss.sigma).max())
+
     def hear(self, distance: Array, rng: np.random.Generator, sender: Array | None = None
              ) -> Heard:
         """
