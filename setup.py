@@ -5,7 +5,6 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = 'tsmcl_ros'
-VERSION = '0.1.0'
 
 NODES = ('anchor', 'fleet', 'localizer', 'recorder', 'replay', 'simulator')
 SCRIPTS = ('demo', 'evaluate', 'experiment', 'fit_path_loss', 'import_csv', 'localize_bag')
@@ -55,11 +54,8 @@ def share(folder: str, pattern: str = '*') -> list[tuple[str, list[str]]]:
 
 setup(
     name=NAME,
-    version=VERSION,
+    version='0.1.0',
     description='Tabu-search Monte Carlo localization of vehicles from radio beacons, on ROS 2',
-    long_description=Path('README.md').read_text(encoding='utf-8')
-    if Path('README.md').exists() else '',
-    long_description_content_type='text/markdown',
     license='Apache-2.0',
     maintainer='The tsmcl_ros developers',
     maintainer_email='tsmcl_ros@example.org',

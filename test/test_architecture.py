@@ -6,6 +6,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 import sys
+from xml.etree import ElementTree
 
 import pytest
 
@@ -109,3 +110,11 @@ METHODS = [name for name in MODULES if name.startswith('methods.') and '__init__
 @pytest.mark.parametrize('module', METHODS)
 def test_that_methods_do_not_import_each_other(module: str) -> None:
     assert 'methods' not in {name[0] for name in own_imports(MODULES[module])}
+
+
+def test_that_rosdep_is_told_of_every_library() -> None:
+    manifest = ElementTree.parse(PACKAGE.parent / 'package.xml')
+    keys = {element.text for element in manifest.iter('exec_depend')}
+    used = {name.partition('.')[0] for path in MODULES.values() for name in imports(path)}
+    for name in used - sys.stdlib_module_names - {'tsmcl_ros'}:
+        assert keys & {name, f'python3-{name}', f'python3-{name}-pip'}, name
