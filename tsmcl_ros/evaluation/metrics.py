@@ -174,7 +174,7 @@ def compare(estimate: Trajectory, truth: Trajectory, skip: float = 0.0,
         truth=Trajectory(compared.stamp, position, yaw),
         path=_cut(truth, known & (truth.stamp >= start), dimension),
         error=np.linalg.norm(difference, axis=1),
-        nees=_normalized_error_squared(difference, compared.covariance),
+        nees=normalized_error_squared(difference, compared.covariance),
         spread=_spread(compared),
         start=float(first),
         end=float(end),
@@ -212,6 +212,29 @@ def mean_of(runs: Sequence[Metrics]) -> Metrics:
     """Return the mean of each metric over several runs, that of their epochs rounded."""
     means = {name: sum(getattr(run, name) for run in runs) / len(runs) for name, _, _ in COLUMNS}
     return Metrics(**{**means, 'epochs': round(means['epochs'])})
+
+
+def normalized_error_squared(difference: Array, covariance: Array | None) -> Array:
+    """
+    Return the NEES, e^T P^-1 e (E,), infinite where P is not positive definite.
+
+    Parameters
+    ----------
+    difference : (E, D) float
+        Estimate minus truth [m].
+    covariance : (E, D, D) float or None
+        P [m^2]; without it the NEES is NaN.
+    """
+    if covariance is None:
+        return np.full(len(difference), np.nan)
+    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
+    values, vectors = np.linalg.eigh(np.where(finite, covariance, 0.0))
+    along = np.einsum('eij,ei->ej', vectors, difference)
+    smallest = np.finfo(np.float64).eps * np.abs(values).max(axis=1, initial=0.0)
+    definite = values[:, 0] > smallest
+    squared = np.full(len(difference), np.inf)
+    squared[definite] = np.sum(along[definite]**2 / values[definite], axis=1)
+    return squared
 
 
 def nees_band(dimension: int, samples: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -276,20 +299,6 @@ def _interpolate_angle(stamp: Array, known_stamp: Array, yaw: Array) -> Array:
         return np.full(len(stamp), np.nan)
     angle: Array = np.interp(stamp, known_stamp[known], np.unwrap(yaw[known]))
     return angle
-
-
-def _normalized_error_squared(difference: Array, covariance: Array | None) -> Array:
-    """Return e^T P^-1 e (E,), infinite where P is not positive definite."""
-    if covariance is None:
-        return np.full(len(difference), np.nan)
-    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
-    values, vectors = np.linalg.eigh(np.where(finite, covariance, 0.0))
-    along = np.einsum('eij,ei->ej', vectors, difference)
-    smallest = np.finfo(np.float64).eps * np.abs(values).max(axis=1, initial=0.0)
-    definite = values[:, 0] > smallest
-    squared = np.full(len(difference), np.inf)
-    squared[definite] = np.sum(along[definite]**2 / values[definite], axis=1)
-    return squared
 
 
 def _spread(trajectory: Trajectory) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import io
+from pathlib import Path
 import re
 from typing import Any
 
@@ -40,15 +41,22 @@ GAP = 5.0
 
 def panel(width: float = 6.4, height: float = 3.2) -> tuple[Figure, Axes]:
     """Return a new figure of that size [inch] with a transparent background, and its axes."""
-    figure = Figure(figsize=(width, height), facecolor='none', layout='constrained')
-    ax = figure.add_subplot(facecolor='none')
-    ax.tick_params(which='both', colors=INK, labelsize=8)
-    for side, spine in ax.spines.items():
-        spine.set_color(INK)
-        spine.set_visible(side in ('left', 'bottom'))
-    ax.grid(color=INK, alpha=0.15, linewidth=0.6)
-    ax.set_axisbelow(True)
+    figure, (ax,) = panels(1, width, height)
     return figure, ax
+
+
+def panels(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """Return such a figure with several axes side by side."""
+    figure = Figure(figsize=(width, height), facecolor='none', layout='constrained')
+    axes = [figure.add_subplot(1, count, index + 1, facecolor='none') for index in range(count)]
+    for ax in axes:
+        ax.tick_params(which='both', colors=INK, labelsize=8)
+        for side, spine in ax.spines.items():
+            spine.set_color(INK)
+            spine.set_visible(side in ('left', 'bottom'))
+        ax.grid(color=INK, alpha=0.15, linewidth=0.6)
+        ax.set_axisbelow(True)
+    return figure, axes
 
 
 def map_view(ax: Axes, vehicles: Mapping[str, Comparison], anchors: Array | None = None,
@@ -203,6 +211,46 @@ def nees_over_time(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
     ax.margins(x=0.01)
     _label(ax, 'time [s]', 'NEES')
     _legend(ax)
+
+
+def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
+                        levels: Mapping[str, float], legend: bool = True) -> None:
+    """
+    Draw errors of an experiment against the epoch, on a logarithmic axis.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    curves : mapping of label to (T,)
+        [m], the first one at epoch 1.
+    quantity : str
+        What they are, for the axis.
+    levels : mapping of label to float
+        Errors [m] to be marked across.
+    legend : bool
+        Off where another plot beside it has the same.
+    """
+    for index, (label, error) in enumerate(curves.items()):
+        ax.plot(np.arange(len(error)) + 1, error, label=_shown(label), linewidth=1.3,
+                **_curve(index))
+    for label, level in levels.items():
+        ax.axhline(level, color=FAINT, linewidth=1.0, linestyle='--')
+        ax.annotate(_shown(f'{label}: {level:.0f} m'), (1.0, level), (0, 2), color=FAINT,
+                    xycoords=ax.get_yaxis_transform(), textcoords='offset points', ha='right',
+                    fontsize=8)
+    drawn = np.concatenate([*curves.values(), list(levels.values())])
+    drawn = drawn[drawn > 0]
+    _make_logarithmic(ax, 'y', float(drawn.min()) / 1.3, 1.3 * float(drawn.max()))
+    ax.margins(x=0.01)
+    _label(ax, 'epoch', quantity)
+    if legend:
+        _legend(ax)
+
+
+def save_png(figure: Figure, path: str | Path) -> None:
+    """Write the figure as a PNG file on white."""
+    figure.savefig(path, dpi=150, facecolor='white')
 
 
 def fleet_series(vehicles: Mapping[str, Comparison], quantity: str) -> tuple[Array, Array]:

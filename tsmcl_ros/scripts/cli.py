@@ -1,4 +1,4 @@
-"""How every script ends: its exit code, and one line where a user's error is to blame."""
+"""What all scripts share: how they end, and what their tables look like."""
 
 from __future__ import annotations
 
@@ -41,6 +41,15 @@ def run_script(
             reason = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
         print(f'error: {" ".join(reason.splitlines())}', file=sys.stderr)
         return 1
+
+
+def align(rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Return rows of cells as lines of text, the first columns flush left, the others right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return '\n'.join(
+        '  '.join(cell.ljust(width) if index < left else cell.rjust(width)
+                  for index, (cell, width) in enumerate(zip(row, widths, strict=True))).rstrip()
+        for row in rows)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from tsmcl_ros.evaluation.metrics import (
     write_tum,
 )
 from tsmcl_ros.evaluation.recording import read_runs, Run
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import align, run_script
 from tsmcl_ros.types import BagError
 
 
@@ -82,11 +82,7 @@ def format_table(runs: Iterable[Run], mean: Metrics | None = None) -> str:
     rows += [(run.label, *run.overall.cells()) for run in runs]
     if mean:
         rows.append(('mean', *mean.cells()))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return '\n'.join(
-        '  '.join([row[0].ljust(widths[0]),
-                   *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))])
-        for row in rows)
+    return align(rows)
 
 
 def write_evaluation(folder: str | Path, runs: Sequence[Run], command: str,

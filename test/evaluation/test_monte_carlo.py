@@ -1,0 +1,183 @@
+"""Parallel runs, their seeds, their files, and bootstrap intervals."""
+
+import csv
+import json
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from tsmcl_ros.evaluation.monte_carlo import (
+    bootstrap_interval,
+    Outcome,
+    prepare_folder,
+    run_experiment,
+    significant,
+    write_results,
+)
+from tsmcl_ros.types import TsmclError
+
+sys.path.append(str(Path(__file__).parent))
+from draws import Dies, Draws
+
+
+def values(results):
+    return [result.outcome.rows['value'].tolist() for result in results]
+
+
+def test_results_do_not_depend_on_the_number_of_processes():
+    alone, together = (run_experiment(Draws(), 7, 3, workers) for workers in (1, 2))
+
+    assert values(alone) == values(together)
+    assert [(result.case, result.run) for result in alone] == [
+        (result.case, result.run) for result in together]
+
+
+def test_results_come_in_order_of_cases_and_runs():
+    results = run_experiment(Draws(), 0, 2, 1)
+
+    assert [(result.case['name'], result.run) for result in results] == [
+        ('a', 0), ('a', 1), ('b', 0), ('b', 1)]
+
+
+def test_runs_of_one_number_share_their_seed_over_cases():
+    first, _, second, _ = values(run_experiment(Draws(), 0, 2, 1))
+
+    assert (2 * np.array(first)).tolist() == second
+
+
+def test_seeds_and_runs_differ():
+    numbers = [tuple(value) for seed in (0, 1)
+               for value in values(run_experiment(Draws(), seed, 2, 1))]
+
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_more_runs_leave_the_first_ones_as_they_are():
+    few, many = (run_experiment(Draws(), 5, runs, 1) for runs in (1, 3))
+
+    assert values(few)[0] == values(many)[0]
+
+
+def test_a_killed_process_is_one_clear_error():
+    with pytest.raises(TsmclError, match='killed.* fewer workers'):
+        run_experiment(Dies(), 0, 1, 2)
+
+
+def test_the_csv_file_holds_every_row_led_by_its_case_and_run(tmp_path):
+    experiment = Draws()
+    results = run_experiment(experiment, 0, 2, 1)
+
+    write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
+
+    with (tmp_path / 'draws.csv').open(newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ['scale', 'name', 'run', 'index', 'value']
+    assert len(rows) == 2 * 2 * 3
+    assert float(rows[-1]['value']) == pytest.approx(values(results)[-1][-1], rel=1e-5)
+
+
+def test_an_unknown_number_is_an_empty_cell(tmp_path):
+    class Unknown(Draws):
+        def work(self, case, seed):
+            return Outcome({'value': np.array([np.nan])}, 0.0)
+
+    experiment = Unknown()
+    results = run_experiment(experiment, 0, 1, 1)
+    write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
+
+    assert (tmp_path / 'draws.csv').read_text().splitlines()[1] == '1.0,a,0,'
+
+
+def test_the_json_file_says_what_made_the_rows_and_what_they_show(tmp_path):
+    experiment = Draws(rows=4)
+    results = run_experiment(experiment, 3, 1, 1)
+
+    written = write_results(
+        tmp_path, 'draws', experiment, results, experiment.judge(results), {'seed': 3})
+
+    assert written == ['draws.csv', 'draws.json', 'draws.png']
+    document = json.loads((tmp_path / 'draws.json').read_text())
+    assert document['seed'] == 3
+    assert document['config'] == {'runs': 2, 'rows': 4}
+    assert document['versions']['numpy'] == np.__version__
+    assert document['cases'] == experiment.cases()
+    assert document['findings'] == [
+        {'claim': 'claim', 'measured': '1 m', 'limit': '', 'verdict': 'reached'}]
+
+
+def test_without_matplotlib_there_is_no_figure(tmp_path):
+    class Plotless(Draws):
+        def draw(self, results, path):
+            raise ModuleNotFoundError(name='matplotlib.figure')
+
+    experiment = Plotless()
+    results = run_experiment(experiment, 0, 1, 1)
+
+    written = write_results(
+        tmp_path, 'draws', experiment, results, experiment.judge(results), {})
+
+    assert written == ['draws.csv', 'draws.json']
+
+
+def test_a_folder_that_cannot_be_made_is_found_out_beforehand(tmp_path):
+    (tmp_path / 'file').write_text('')
+
+    with pytest.raises(OSError):
+        prepare_folder(tmp_path / 'file' / 'below')
+
+
+def test_the_interval_of_a_mean_is_that_of_the_central_limit_theorem():
+    samples = np.random.default_rng(1).exponential(size=2000)
+
+    interval = bootstrap_interval(np.mean, samples, draws=2000)
+
+    reach = norm.ppf(0.975) * samples.std() / np.sqrt(samples.size)
+    assert interval.value == samples.mean()
+    assert interval.value - interval.low == pytest.approx(reach, rel=0.1)
+    assert interval.high - interval.value == pytest.approx(reach, rel=0.1)
+
+
+def test_what_depends_on_each_other_does_not_narrow_an_interval():
+    units = np.random.default_rng(2).standard_normal(50)
+
+    once, often = (bootstrap_interval(np.mean, np.tile(units, (copies, 1))) for copies in (1, 9))
+
+    assert once.low == pytest.approx(often.low)
+    assert once.high == pytest.approx(often.high)
+
+
+@pytest.mark.parametrize(('value', 'text'), [
+    (0.0, '0'), (4.7321, '4.73'), (47.321, '47.3'), (473.21, '473'), (4732.1, '4732'),
+    (0.047321, '0.0473'), (4.7e9, '4.7e+09'), (-4.7321, '-4.73'),
+    (float('inf'), 'inf'), (float('nan'), 'nan'),
+])
+def test_numbers_are_shown_to_three_digits(value, text):
+    assert significant(value) == text
+
+
+def test_an_interrupt_ends_the_processes():
+    code = ('import multiprocessing\n'
+            'from draws import Endless\n'
+            'from tsmcl_ros.evaluation.monte_carlo import run_experiment\n'
+            'try:\n'
+            '    run_experiment(Endless(), 0, 2, 2)\n'
+            'except KeyboardInterrupt:\n'
+            '    for process in multiprocessing.active_children():\n'
+            '        process.join()\n'
+            '    print("ended")\n')
+    process = subprocess.Popen([sys.executable, '-c', code], cwd=Path(__file__).parent, text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert process.stdout.read(5) == 'begun'
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+
+    assert output.endswith('ended\n')
+    assert process.returncode == 0
+    assert 'Traceback' not in errors

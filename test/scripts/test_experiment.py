@@ -1,0 +1,92 @@
+"""The experiment script, from the command line to files and exit codes."""
+
+import json
+
+import pytest
+from tsmcl_ros.evaluation.experiments import EXPERIMENTS
+from tsmcl_ros.scripts.experiment import main
+
+NAME = 'ts_mcl_convergence'
+
+
+@pytest.fixture(scope='module')
+def quick(tmp_path_factory):
+    """Return the folder of a quick run in this process."""
+    folder = tmp_path_factory.mktemp('quick')
+    assert main([NAME, '--quick', '--quiet', '--workers', '1', '--seed', '4',
+                 '--out', str(folder / 'new')]) == 0
+    return folder / 'new'
+
+
+def test_it_writes_rows_settings_and_a_figure(quick):
+    assert {path.name for path in quick.iterdir()} == {
+        f'{NAME}.csv', f'{NAME}.json', f'{NAME}.png'}
+
+
+def test_the_settings_are_those_given(quick):
+    document = json.loads((quick / f'{NAME}.json').read_text())
+
+    assert (document['seed'], document['quick'], document['workers']) == (4, True, 1)
+    assert document['runs'] == EXPERIMENTS[NAME][1].runs
+    assert document['duration_s'] > 0
+
+
+def test_two_processes_write_the_same_rows(quick, run, tmp_path):
+    code, output = run('scripts.experiment', NAME, '--quick', '--seed', 4, '--workers', 2,
+                       '--out', tmp_path)
+
+    assert code == 0, output
+    assert (tmp_path / f'{NAME}.csv').read_bytes() == (quick / f'{NAME}.csv').read_bytes()
+
+
+def test_it_prints_a_table_and_verdicts(capsys, tmp_path):
+    assert main([NAME, '--quick', '--quiet', '--runs', '1', '--workers', '1',
+                 '--out', str(tmp_path)]) == 0
+
+    printed = capsys.readouterr().out
+    for text in ('vehicles know', '+ odometry', 'bootstrap', 'exact grid', 'not reproducible',
+                 'too small to judge by', f'{NAME}.csv'):
+        assert text in printed
+
+
+def test_all_runs_every_experiment(capsys, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr('tsmcl_ros.scripts.experiment._run', lambda name, *_: seen.append(name))
+
+    assert main(['all', '--out', str(tmp_path)]) == 0
+    assert seen == list(EXPERIMENTS)
+
+
+def test_the_list_names_every_experiment(capsys):
+    assert main(['--list']) == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(EXPERIMENTS)
+
+
+@pytest.mark.parametrize('arguments', [['nonsense'], []])
+def test_an_unknown_experiment_is_wrong_usage_and_the_known_are_named(capsys, arguments):
+    with pytest.raises(SystemExit) as raised:
+        main(arguments)
+
+    assert raised.value.code == 2
+    assert NAME in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('option', [['--runs', '0'], ['--workers', 'x'], ['--seed', '-1']])
+def test_a_number_that_is_none_is_wrong_usage(capsys, option):
+    with pytest.raises(SystemExit) as raised:
+        main([NAME, *option])
+
+    assert raised.value.code == 2
+    assert f'{option[1]} is not allowed' in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_ends_it_at_once(capsys, tmp_path):
+    (tmp_path / 'file').write_text('')
+
+    assert main([NAME, '--out', str(tmp_path / 'file' / 'below')]) == 1
+
+    error = capsys.readouterr().err
+    assert error.startswith('error: ') and len(error.splitlines()) == 1
+    assert str(tmp_path / 'file') in error

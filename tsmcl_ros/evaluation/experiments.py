@@ -1,0 +1,393 @@
+"""The claims of the papers as experiments, by the names that users give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+from tsmcl_ros.evaluation.metrics import normalized_error_squared
+from tsmcl_ros.evaluation.monte_carlo import (
+    bootstrap_interval,
+    Case,
+    Experiment,
+    Finding,
+    Interval,
+    Outcome,
+    Report,
+    Result,
+    significant,
+    Stopwatch,
+)
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.mobility import State
+from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.types import Array, Observation
+from tsmcl_ros.world import anchor_table, make_world, World, WorldConfig
+
+RANGE = 1000.0  # m, of all radios of the TS-MCL paper
+SPEED = 50.0  # m/s, at most
+CLAIMED = 5.0  # m, its error from epoch 100 on
+
+RADIO: dict[str, Any] = {'radio_model': 'disk', 'radio_range': RANGE}
+SCORING = {**RADIO, 'edge_softness': 1.0}
+# What a vehicle knows of its own movement and of the anchors that it does not hear. The last one
+# is config/range_free.yaml without its method.
+EVIDENCE: dict[str, dict[str, Any]] = {
+    'heard': {**SCORING, 'motion_model': 'random', 'max_speed': SPEED, 'silence': 'none'},
+    'silence': {**SCORING, 'motion_model': 'random', 'max_speed': SPEED, 'silence': 'map'},
+    'odometry': {
+        **SCORING, 'motion_model': 'odometry', 'odom_heading': 'known', 'odom_std': 0.5,
+        'alpha3': 0.0, 'alpha4': 0.0, 'silence': 'map'},
+}
+SHOWN = {
+    'heard': 'heard only', 'silence': '+ silence', 'odometry': '+ odometry',
+    'ts_mcl': 'TS-MCL', 'bootstrap': 'bootstrap', 'exact': 'exact grid',
+}
+
+
+@dataclass(frozen=True)
+class TsMclConvergence:
+    """
+    The error of TS-MCL over time, range-free (Sun, Wang, Zhang 2016: about 5 m from epoch 100 on).
+
+    Vehicles with the papers' random motion among anchors on a jittered grid, first by the beacons
+    heard, then with the silence of the map's other anchors, then with odometry; beside it what no
+    filter can beat. And between two anchors, which is all that the paper's vehicles hear.
+
+    Attributes
+    ----------
+    runs, vehicles, epochs : int
+        Worlds, vehicles in each, beacon periods of 1 s.
+    particles, first_particles : int
+        Of TS-MCL.
+    bootstrap : tuple of (particles, first particles)
+        Of the same code without the search.
+    grid_cell : float
+        Of the exact filter [m].
+    exact_vehicles : int
+        Vehicles of each world that the exact filter, which is slow, is run for.
+    grid_margin : float
+        By which its grid is larger than the vehicles' field, of which no filter knows [m].
+    lenses : tuple of float
+        Distances of the two anchors [m].
+    lens_vehicles, lens_epochs : int
+        Vehicles parked between them in each run, and for how long.
+    """
+
+    title = 'range-free error of TS-MCL against time, with what each kind of evidence is worth'
+
+    runs: int = 4
+    vehicles: int = 40
+    epochs: int = 200
+    particles: int = 200
+    first_particles: int = 2000
+    bootstrap: tuple[tuple[int, int], ...] = ((200, 2000), (3000, 20_000), (20_000, 100_000))
+    grid_cell: float = 25.0
+    grid_margin: float = 500.0
+    exact_vehicles: int = 10
+    lenses: tuple[float, ...] = (1000.0, 1800.0)
+    lens_vehicles: int = 100
+    lens_epochs: int = 20
+
+    def cases(self) -> list[Case]:
+        """Return what is known, by which filter, with how many particles, at which anchors."""
+        def case(evidence: str, method: str, particles: int, apart: float = 0.0) -> Case:
+            return {'evidence': evidence, 'filter': method, 'particles': particles,
+                    'anchors_apart_m': apart}
+
+        tabu, exact = ('ts_mcl', self.particles), ('exact', 0)
+        return [
+            *(case('heard', *method, apart) for apart in self.lenses for method in (tabu, exact)),
+            *(case(evidence, *method) for evidence in ('heard', 'silence')
+              for method in (tabu, exact)),
+            case('odometry', *tabu),
+            *(case('odometry', 'bootstrap', count) for count, _ in self.bootstrap),
+        ]
+
+    def work(self, case: Case, seed: np.random.SeedSequence) -> Outcome:
+        """Follow the vehicles of one world."""
+        world_seed, filter_seed = seed.spawn(2)
+        world = self._world(case, np.random.default_rng(world_seed))
+        settings = {**EVIDENCE[case['evidence']], **self._method(case),
+                    'seed': int(filter_seed.generate_state(1)[0])}
+        vehicles = len(world.mobility.state.position)
+        if case['filter'] == 'exact' and not case['anchors_apart_m']:
+            vehicles = self.exact_vehicles
+        track = follow(
+            world, Localizer(settings, vehicles),
+            self.lens_epochs if case['anchors_apart_m'] else self.epochs,
+            odometry=case['evidence'] == 'odometry')
+        epoch, vehicle = np.indices(track.error.shape)
+        return Outcome(
+            {'epoch': epoch.ravel() + 1, 'vehicle': vehicle.ravel(),
+             'error_m': track.error.ravel(), 'nees': track.nees.ravel()}, track.seconds)
+
+    def judge(self, results: Sequence[Result]) -> Report:
+        """Return a table of all curves, and the paper's claim and ours beside them."""
+        curves = _curves(results)
+        epochs = f'{self.epochs // 2}-{self.epochs}'
+        headings = ['vehicles know', 'filter', 'particles', 'vehicles', f'median {epochs} [m]',
+                    f'median at {self.epochs} [m]', f'RMSE {epochs} [m]', 'NEES', 'in 95 %',
+                    'ms per update']
+        rows = [self._row(curve) for curve in curves if not curve.apart]
+        return Report(
+            [headings, *rows], 2, [*self._goals(curves), *self._limits(curves)])
+
+    def draw(self, results: Sequence[Result], path: Path) -> None:
+        """Draw median and RMSE over the vehicles against the epoch."""
+        from tsmcl_ros.evaluation import plots
+
+        curves = [curve for curve in _curves(results) if not curve.apart]
+        figure, (left, right) = plots.panels(2, 12.0, 5.6)
+        plots.error_against_epoch(
+            left, {curve.label: np.nanmedian(curve.error, axis=1) for curve in curves},
+            'median error [m]', {'claimed': CLAIMED})
+        plots.error_against_epoch(
+            right, {curve.label: rmse(curve.error, axis=1) for curve in curves}, 'RMSE [m]',
+            {f'optimum between two anchors {apart:g} m apart': lens_radius(apart, RANGE)
+             for apart in self.lenses}, legend=False)
+        plots.save_png(figure, path)
+
+    def _world(self, case: Case, rng: np.random.Generator) -> World:
+        apart = case['anchors_apart_m']
+        if not apart:
+            # Legs begin when the run does, as they do in the papers' simulations.
+            return make_world({**RADIO, 'vehicles': self.vehicles, 'odom_noise': 0.5,
+                               'max_speed': SPEED, 'start_distribution': 'uniform'}, rng)
+        anchors = np.array([[-apart / 2, 0.0], [apart / 2, 0.0]])
+        parked = Parked(uniform_in_lens(self.lens_vehicles, apart, RANGE, rng))
+        return World(WorldConfig(), Channel(RadioConfig(**RADIO)), parked, anchor_table(anchors),
+                     rng)
+
+    def _method(self, case: Case) -> dict[str, Any]:
+        if case['filter'] == 'ts_mcl':
+            return {'method': 'ts_mcl', 'min_particles': self.particles,
+                    'max_particles': self.first_particles}
+        if case['filter'] == 'bootstrap':
+            return {'method': 'ts_mcl', 'max_iterations': 0, 'min_particles': case['particles'],
+                    'max_particles': dict(self.bootstrap)[case['particles']]}
+        apart = case['anchors_apart_m']
+        x, y = RANGE - apart / 2, math.sqrt(RANGE ** 2 - apart ** 2 / 4)
+        low, high = ((-x, -y), (x, y)) if apart else ((0.0, 0.0), (4000.0, 4000.0))
+        return {'method': 'grid', 'grid_cell': self.grid_cell,
+                'grid_x_min': low[0] - self.grid_margin, 'grid_x_max': high[0] + self.grid_margin,
+                'grid_y_min': low[1] - self.grid_margin, 'grid_y_max': high[1] + self.grid_margin}
+
+    def _row(self, curve: Curve) -> list[str]:
+        late = curve.late
+        return [
+            SHOWN[curve.evidence], SHOWN[curve.filter], str(curve.particles or '-'),
+            str(late.shape[1]), str(bootstrap_interval(np.median, late)),
+            str(bootstrap_interval(np.median, late[-1:])), str(bootstrap_interval(rmse, late)),
+            significant(float(curve.late_nees.mean())),
+            f'{np.mean(curve.late_nees < chi2.ppf(0.95, 2)):.0%}'.replace('%', ' %'),
+            significant(curve.update_ms)]
+
+    def _goals(self, curves: Sequence[Curve]) -> list[Finding]:
+        """Compare TS-MCL with odometry and silence with what it is to reach."""
+        tabu = _find(curves, 'odometry', 'ts_mcl')
+        most = [curve for curve in curves if curve.filter == 'bootstrap'][-1]
+        what = f'odometry and silence, TS-MCL with {self.particles} particles: '
+        compared = bootstrap_interval(
+            lambda pair: rmse(pair[0]) / rmse(pair[1]), np.stack([tabu.late, most.late]))
+        return [
+            _goal(f'{what}median over epochs {self.epochs // 2}-{self.epochs}',
+                  bootstrap_interval(np.median, tabu.late), CLAIMED, ' m'),
+            _goal(f'{what}median at epoch {self.epochs}',
+                  bootstrap_interval(np.median, tabu.late[-1:]), 4.0, ' m'),
+            _goal(f'{what}RMSE over that of a bootstrap filter with {most.particles}',
+                  compared, 1.1),
+        ]
+
+    def _limits(self, curves: Sequence[Curve]) -> list[Finding]:
+        """Compare the paper's claim, which is made without odometry, with what is possible."""
+        claim = f'{{}}: the paper has about {CLAIMED:g} m'
+        findings = []
+        for evidence in ('heard', 'silence'):
+            found, limit = (bootstrap_interval(np.median, _find(curves, evidence, name).late)
+                            for name in ('ts_mcl', 'exact'))
+            findings.append(Finding(
+                claim.format(f'{SHOWN[evidence]}, median'), f'{found} m',
+                f'exact filter of the same model {limit} m',
+                _possible(limit.low, 'the exact filter misses it too')))
+        for apart in self.lenses:
+            found, limit = (bootstrap_interval(rmse, _find(curves, 'heard', name, apart).late)
+                            for name in ('ts_mcl', 'exact'))
+            optimum = lens_radius(apart, RANGE)
+            findings.append(Finding(
+                claim.format(f'two anchors {apart:g} m apart heard all the time, RMSE'),
+                f'{found} m', f'{optimum:.0f} m, as they may be anywhere within both ranges; '
+                f'exact filter {limit} m',
+                _possible(optimum, 'no filter can')))
+        return findings
+
+
+# Each at full size, and at one that takes seconds.
+EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
+    'ts_mcl_convergence': (
+        TsMclConvergence(),
+        TsMclConvergence(
+            runs=2, vehicles=8, epochs=20, bootstrap=((200, 2000), (1000, 10_000)),
+            grid_cell=100.0, exact_vehicles=4, lens_vehicles=20, lens_epochs=5)),
+}
+
+
+class Track(NamedTuple):
+    """Error [m] and NEES of V vehicles in T epochs (T, V), and what localizing took [s]."""
+
+    error: Array
+    nees: Array
+    seconds: float
+
+
+def follow(world: World, localizer: Localizer, epochs: int, odometry: bool) -> Track:
+    """
+    Localize a world's vehicles, or the first of them, through some beacon periods.
+
+    Parameters
+    ----------
+    world : World
+        It moves on.
+    localizer : Localizer
+        Of as many vehicles as are to be localized.
+    epochs : int
+        T.
+    odometry : bool
+        Whether the vehicles have it.
+    """
+    shape = epochs, localizer.vehicles
+    error, nees = np.full(shape, np.nan), np.full(shape, np.nan)
+    watch = Stopwatch()
+    localizer.anchor_map(world.anchors)
+    for row in range(epochs):
+        epoch = world.step()
+        observation = _first(epoch.observation, localizer.vehicles)
+        with watch:
+            estimate = localizer.epoch(
+                observation, epoch.odom_position[:shape[1]] if odometry else None,
+                epoch.odom_yaw[:shape[1]] if odometry else None)
+        known = np.isfinite(estimate.mean).all(axis=1)
+        off = estimate.mean[known] - epoch.position[:shape[1]][known]
+        error[row, known] = np.linalg.norm(off, axis=1)
+        nees[row, known] = normalized_error_squared(off, estimate.covariance[known])
+    return Track(error, nees, watch.seconds)
+
+
+def rmse(error: Array, axis: int | None = None) -> Any:
+    """Return the root mean square of what is known of the errors."""
+    return np.sqrt(np.nanmean(np.square(error), axis=axis))
+
+
+def lens_radius(apart: float, reach: float) -> float:
+    """
+    Return the RMS distance [m] of the points of a lens from its middle.
+
+    The lens is where two disks of radius `reach` with centres `apart` [m] overlap. Whoever only
+    knows that a vehicle is somewhere in it cannot have a smaller RMSE.
+    """
+    half = reach - apart / 2
+    x = (np.arange(10_000) + 0.5) / 10_000 * half
+    y = np.sqrt(reach ** 2 - (x + apart / 2) ** 2)
+    return float(np.sqrt(np.sum(x ** 2 * y + y ** 3 / 3) / np.sum(y)))
+
+
+def uniform_in_lens(count: int, apart: float, reach: float, rng: np.random.Generator) -> Array:
+    """Return points (count, 2) [m] uniform in the lens of `lens_radius`, about its middle."""
+    corner = np.array([reach - apart / 2, math.sqrt(reach ** 2 - apart ** 2 / 4)])
+    points = np.empty((0, 2))
+    while len(points) < count:
+        drawn = corner * rng.uniform(-1, 1, (2 * count, 2))
+        inside = np.hypot(np.abs(drawn[:, 0]) + apart / 2, drawn[:, 1]) < reach
+        points = np.concatenate([points, drawn[inside]])
+    return points[:count]
+
+
+class Parked:
+    """A mobility whose vehicles stay where they are, at positions (V, 2) [m]."""
+
+    duration = math.inf
+
+    def __init__(self, position: Array):
+        self.state = State(position, np.zeros_like(position), np.zeros(len(position)))
+
+    def step(self, elapsed: float) -> State:
+        """Stay."""
+        return self.state
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """All runs of a case: errors [m] and NEES (T, U) of all their vehicles, ms per update."""
+
+    evidence: str
+    filter: str
+    particles: int
+    apart: float
+    error: Array
+    nees: Array
+    update_ms: float
+
+    @property
+    def label(self) -> str:
+        """What legends call it."""
+        count = f' {self.particles}' if self.particles else ''
+        return f'{SHOWN[self.evidence]}, {SHOWN[self.filter]}{count}'
+
+    @property
+    def late(self) -> Array:
+        """Errors [m] of the second half of the epochs."""
+        return self.error[len(self.error) // 2 - 1:]
+
+    @property
+    def late_nees(self) -> Array:
+        """NEES of the second half of the epochs."""
+        return self.nees[len(self.nees) // 2 - 1:]
+
+
+def _curves(results: Sequence[Result]) -> list[Curve]:
+    """Lay the runs of each case side by side."""
+    cases: dict[tuple[Any, ...], list[Outcome]] = {}
+    for result in results:
+        cases.setdefault(tuple(result.case.values()), []).append(result.outcome)
+    curves = []
+    for case, outcomes in cases.items():
+        error, nees = (
+            np.concatenate([outcome.rows[name].reshape(outcome.rows['epoch'][-1], -1)
+                            for outcome in outcomes], axis=1)
+            for name in ('error_m', 'nees'))
+        seconds = sum(outcome.seconds for outcome in outcomes)
+        evidence, method, particles, apart = case
+        curves.append(Curve(
+            evidence, method, particles, apart, error, nees, 1000 * seconds / error.size))
+    return curves
+
+
+def _find(curves: Sequence[Curve], evidence: str, method: str, apart: float = 0.0) -> Curve:
+    """Return the first curve of this kind."""
+    return next(curve for curve in curves
+                if (curve.evidence, curve.filter, curve.apart) == (evidence, method, apart))
+
+
+def _goal(claim: str, measured: Interval, goal: float, unit: str = '') -> Finding:
+    """Return whether a value is as small as it should be."""
+    verdict = 'reached' if measured.value <= goal else (
+        'missed, though within the interval' if measured.low <= goal else 'missed')
+    return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', '', verdict)
+
+
+def _possible(limit: float, reason: str) -> str:
+    """Say whether the paper's claim can be true where an error of less than a limit [m] cannot."""
+    return f'not reproducible: {reason}' if limit > CLAIMED else 'not excluded'
+
+
+def _first(observation: Observation, vehicles: int) -> Observation:
+    """Return what the first vehicles heard."""
+    if vehicles == len(observation.sender):
+        return observation
+    return Observation.stack(
+        [observation.vehicle(index) for index in range(vehicles)], observation.stamp)

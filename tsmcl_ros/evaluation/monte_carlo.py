@@ -1,0 +1,351 @@
+"""
+Experiments: cases x runs in parallel processes, deterministic however many there are.
+
+An experiment is a frozen dataclass of its sizes that lists cases, works one of them with one
+seed, and judges what came of all. Runs of one number share their seed over all cases, so that
+cases are compared on the same worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+import json
+import math
+import multiprocessing
+import os
+from pathlib import Path
+import platform
+import signal
+import tempfile
+import time
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from tqdm import tqdm
+from tsmcl_ros.types import Array, TsmclError
+
+# What tells a case from the others, JSON scalars by name; they become columns of the CSV file.
+Case = Mapping[str, Any]
+
+
+class Outcome(NamedTuple):
+    """
+    What one run of one case gave.
+
+    Attributes
+    ----------
+    rows : mapping of name to (L,) array
+        Columns of the CSV file, the same for any number of processes.
+    seconds : float
+        Processor time of what is to be timed [s].
+    """
+
+    rows: Mapping[str, Array]
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The outcome of one run of one case."""
+
+    case: Case
+    run: int
+    outcome: Outcome
+
+
+class Interval(NamedTuple):
+    """A value and its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        value, low, high = map(significant, self)
+        return f'{value} ({low} to {high})'
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    One claim beside what was measured.
+
+    Attributes
+    ----------
+    claim : str
+        What is said to hold.
+    measured : str
+        With its interval and unit.
+    limit : str
+        What mathematics allows, empty where it is not known.
+    verdict : str
+        Such as 'reached', or why not.
+    """
+
+    claim: str
+    measured: str
+    limit: str
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """
+    What an experiment has shown.
+
+    Attributes
+    ----------
+    table : list of rows
+        Headings, then cells.
+    labels : int
+        How many columns say what a row is about.
+    findings : list of Finding
+        The claims, judged.
+    """
+
+    table: list[list[str]]
+    labels: int
+    findings: list[Finding]
+
+
+class Experiment(Protocol):
+    """
+    A claim to be tried; a frozen dataclass, so that processes can be handed copies.
+
+    `title` is one line, `runs` the number of runs that a case gets if nobody says another.
+    """
+
+    @property
+    def title(self) -> str:
+        """Say in one line what is tried."""
+
+    @property
+    def runs(self) -> int:
+        """Return the number of runs of every case."""
+
+    def cases(self) -> Sequence[Case]:
+        """Return the cases, those that take long towards the end: they are begun from there."""
+
+    def work(self, case: Case, seed: np.random.SeedSequence) -> Outcome:
+        """Work one case with the seed of one run."""
+
+    def judge(self, results: Sequence[Result]) -> Report:
+        """Return what the results, in order of cases and runs, show."""
+
+    def draw(self, results: Sequence[Result], path: Path) -> None:
+        """Draw the results into a PNG file; needs matplotlib."""
+
+
+def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
+                   progress: bool = False) -> list[Result]:
+    """
+    Work all cases of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is tried.
+    seed : int
+        Run i has the i-th child of its seed sequence, in every case.
+    runs : int
+        Of each case.
+    workers : int
+        Processes; with 1 all is done in this one.
+    progress : bool
+        Show a progress bar where standard error is a terminal.
+
+    Returns
+    -------
+    list of Result
+        In order of cases, then of runs; the same for any number of workers but for times.
+
+    Raises
+    ------
+    TsmclError
+        If a process was killed.
+    """
+    cases = experiment.cases()
+    tasks = [(case, run) for case in range(len(cases)) for run in range(runs)]
+    outcomes: dict[tuple[int, int], Outcome] = {}
+    with tqdm(total=len(tasks), unit='run', disable=None if progress else True,
+              leave=False) as bar:
+        def keep(task: tuple[int, int], outcome: Outcome) -> None:
+            outcomes[task] = outcome
+            bar.update()
+
+        if workers == 1:
+            for case, run in reversed(tasks):
+                keep((case, run), _work(experiment, cases[case], seed, run))
+        else:
+            _work_in_parallel(
+                {task: (experiment, cases[task[0]], seed, task[1]) for task in reversed(tasks)},
+                min(workers, len(tasks)), keep)
+    return [Result(cases[case], run, outcomes[case, run]) for case, run in tasks]
+
+
+def write_results(folder: Path, name: str, experiment: Experiment, results: Sequence[Result],
+                  report: Report, record: Mapping[str, Any]) -> list[str]:
+    """
+    Write NAME.csv with the rows, NAME.json with what made them and what they show, and NAME.png.
+
+    Parameters
+    ----------
+    folder : Path
+        It exists; files of the same names are overwritten.
+    name : str
+        Of the experiment.
+    experiment, results, report
+        What was tried, what came of it, and what it shows.
+    record : mapping
+        What else belongs into the JSON file, such as the seed.
+
+    Returns
+    -------
+    list of str
+        Names of the files; the figure is missing where matplotlib is.
+    """
+    _write_rows(folder / f'{name}.csv', results)
+    document = {
+        'experiment': name,
+        'title': experiment.title,
+        **record,
+        'versions': {'tsmcl_ros': _version(), 'numpy': np.__version__,
+                     'python': platform.python_version()},
+        'config': asdict(experiment),  # type: ignore[call-overload]
+        'cases': [dict(case) for case in experiment.cases()],
+        'table': report.table,
+        'findings': [asdict(finding) for finding in report.findings],
+    }
+    (folder / f'{name}.json').write_text(json.dumps(document, indent=2) + '\n', encoding='utf-8')
+    written = [f'{name}.csv', f'{name}.json']
+    try:
+        experiment.draw(results, folder / f'{name}.png')
+    except ModuleNotFoundError as error:
+        if (error.name or '').partition('.')[0] != 'matplotlib':
+            raise
+        return written
+    return [*written, f'{name}.png']
+
+
+def prepare_folder(folder: Path) -> None:
+    """
+    Make a folder and hold that files can be written there, before hours are spent.
+
+    Raises
+    ------
+    OSError
+        If they cannot.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def bootstrap_interval(statistic: Callable[[Array], float], samples: Array,
+                       confidence: float = 0.95, draws: int = 400) -> Interval:
+    """
+    Return a statistic and its bootstrap percentile interval (Efron 1979).
+
+    Parameters
+    ----------
+    statistic
+        Of an array such as the samples.
+    samples : (..., U) float
+        The last axis counts independent units, vehicles say, which are drawn with replacement;
+        whatever depends on each other, such as a vehicle's epochs, lies along the others.
+    confidence : float
+        Between 0 and 1.
+    draws : int
+        Resamplings.
+    """
+    rng = np.random.default_rng(0)
+    units = samples.shape[-1]
+    values = [statistic(samples[..., rng.integers(units, size=units)]) for _ in range(draws)]
+    low, high = np.quantile(values, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Interval(statistic(samples), float(low), float(high))
+
+
+def significant(value: float) -> str:
+    """Return a value to three significant digits, without an exponent where that is readable."""
+    if not math.isfinite(value) or value == 0 or not 1e-3 <= abs(value) < 1e6:
+        return f'{value:.3g}'
+    return f'{value:.{max(2 - math.floor(math.log10(abs(value))), 0)}f}'
+
+
+def _work(experiment: Experiment, case: Case, seed: int, run: int) -> Outcome:
+    # Built here, not handed over: spawning from one that is shared would depend on the order.
+    return experiment.work(case, np.random.SeedSequence(seed, spawn_key=(run,)))
+
+
+def _work_in_parallel(tasks: Mapping[Any, tuple[Experiment, Case, int, int]], workers: int,
+                      keep: Callable[[Any, Outcome], None]) -> None:
+    others = set(multiprocessing.active_children())
+    # A spawned process shares nothing with this one that could make a difference.
+    pool = ProcessPoolExecutor(
+        workers, multiprocessing.get_context('spawn'),
+        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+    try:
+        started = {pool.submit(_work, *task): key for key, task in tasks.items()}
+        for future in as_completed(started):
+            keep(started[future], future.result())
+    except BrokenProcessPool:
+        raise TsmclError('a process was killed, perhaps for lack of memory: try fewer workers, '
+                         f'now {workers}') from None
+    except BaseException:
+        # A run may take minutes; nobody waits for it any more.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _write_rows(path: Path, results: Sequence[Result]) -> None:
+    """Write the rows of all results as CSV, each led by its case and run."""
+    with path.open('w', encoding='utf-8', newline='') as file:
+        for index, result in enumerate(results):
+            rows = result.outcome.rows
+            if index == 0:
+                file.write(','.join([*result.case, 'run', *rows]) + '\n')
+            lead = ','.join([*map(str, result.case.values()), str(result.run)])
+            columns = [_texts(column) for column in rows.values()]
+            file.writelines(f'{lead},{",".join(cells)}\n' for cells in zip(*columns, strict=True))
+
+
+def _version() -> str:
+    """Return the package's version; sources that were never installed do not know it."""
+    try:
+        return version('tsmcl_ros')
+    except PackageNotFoundError:
+        return 'not installed'
+
+
+def _texts(column: Array) -> list[str]:
+    """Return a column's cells: floats to six digits, nothing where they are not known."""
+    if column.dtype.kind == 'f':
+        return ['' if math.isnan(value) else f'{value:.6g}' for value in column.tolist()]
+    return [str(value) for value in column.tolist()]
+
+
+class Stopwatch:
+    """Adds up the processor time of all that is done inside of it; a context manager."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __enter__(self) -> None:
+        self._begin = time.process_time()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += time.process_time() - self._begin

@@ -1,0 +1,104 @@
+"""Try a claim of the papers: a table, findings, and files with rows, settings and figure."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+import time
+
+from tsmcl_ros.evaluation.experiments import EXPERIMENTS
+from tsmcl_ros.evaluation.monte_carlo import (
+    Experiment,
+    prepare_folder,
+    processors,
+    Report,
+    run_experiment,
+    write_results,
+)
+from tsmcl_ros.scripts.cli import align, run_script
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run experiments from the command line and return the exit code."""
+    return run_script(_experiment, arguments)
+
+
+def _experiment(arguments: Sequence[str] | None) -> None:
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.list:
+        print(align([[name, full.title] for name, (full, _) in EXPERIMENTS.items()]))
+        return
+    if options.name is None:
+        parser.error(f'an experiment is missing, must be one of all, {", ".join(EXPERIMENTS)}')
+    prepare_folder(options.out)
+    for name in EXPERIMENTS if options.name == 'all' else [options.name]:
+        full, quick = EXPERIMENTS[name]
+        _run(name, quick if options.quick else full, options)
+
+
+def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None:
+    runs = options.runs or experiment.runs
+    begin = time.monotonic()
+    results = run_experiment(experiment, options.seed, runs, options.workers, not options.quiet)
+    duration = time.monotonic() - begin
+    report = experiment.judge(results)
+    record = {'quick': options.quick, 'seed': options.seed, 'runs': runs,
+              'workers': options.workers, 'duration_s': round(duration, 1)}
+    written = write_results(options.out, name, experiment, results, report, record)
+    print(f'{name}: {experiment.title}\n\n{format_report(report)}\n')
+    if options.quick:
+        print('note: a quick run is too small to judge by')
+    if f'{name}.png' not in written:
+        print('note: no figure, as matplotlib is missing: pip install tsmcl_ros[plot]',
+              file=sys.stderr)
+    print(f'{", ".join(written)} are in {options.out}, after {duration:.0f} s')
+
+
+def format_report(report: Report) -> str:
+    """Return a report as lines of text."""
+    lines = [align(report.table, left=report.labels), '']
+    for finding in report.findings:
+        limit = f'; limit: {finding.limit}' if finding.limit else ''
+        lines.append(f'{finding.claim}\n    {finding.measured}{limit}: {finding.verdict}')
+    return '\n'.join(lines)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='experiment',
+        description='Try a claim of the papers: print what was measured, and write NAME.csv '
+                    '(rows), NAME.json (settings, seed, versions, findings) and NAME.png.')
+    parser.add_argument('name', nargs='?', metavar='NAME', choices=['all', *EXPERIMENTS],
+                        help=f'one of all, {", ".join(EXPERIMENTS)}')
+    parser.add_argument('--list', action='store_true', help='say what there is, and end')
+    parser.add_argument('--quick', action='store_true',
+                        help='a small version that takes seconds and proves nothing')
+    parser.add_argument('--runs', type=_positive, metavar='N',
+                        help="Monte-Carlo runs of each case (default: the experiment's)")
+    parser.add_argument('--workers', type=_positive, default=processors(), metavar='N',
+                        help='processes, which results do not depend on (default: %(default)s)')
+    parser.add_argument('--seed', type=_whole, default=0, metavar='S',
+                        help='seed of all randomness (default: %(default)s)')
+    parser.add_argument('--out', type=Path, default=Path('experiments'), metavar='DIR',
+                        help='folder for the files (default: %(default)s)')
+    parser.add_argument('--quiet', action='store_true', help='show no progress')
+    return parser
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a whole number from 1')
+    return int(text)
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a whole number from 0')
+    return int(text)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
