@@ -17,7 +17,7 @@ from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.radio import Channel
-from tsmcl_ros.types import Array, Estimate, Motion, Observation
+from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,19 @@ class Mcl(ParticleFilter):
                  vehicles: int, dimension: int, rng: np.random.Generator):
         super().__init__(config, channel, motion, vehicles, dimension, rng)
         self.config = config
-        self._motion: Motion | None = None
+        self._motion = Motion(0.0)
         self._parents = self.cloud.states
+        self._predicted = np.zeros(vehicles, bool)
+
+    def start(self, prior: Prior) -> None:
+        """Replace one vehicle's belief by a prior, which redraws cannot be made from."""
+        super().start(prior)
+        self._predicted[prior.vehicle] = False
 
     def predict(self, motion: Motion) -> None:
         """Move the particles, keeping their parents for the redraws."""
         self._motion, self._parents = motion, self.cloud.states
+        self._predicted[:] = True
         super().predict(motion)
 
     def update(self, observation: Observation) -> Estimate:
@@ -79,19 +86,24 @@ class Mcl(ParticleFilter):
         (V,) bool
             The vehicles of which no particle survived; theirs are left as predicted.
         """
-        states = self.cloud.states
+        states, weights = self.cloud.states, self.cloud.weights
+        inherited = weights.copy()
         size = states.shape[1]
         rejected = which[:, None] & ~self._survives(
             presence.log_likelihood(self.cloud.particles))
         for _ in range(self.config.max_redraws):
-            owner, index = np.nonzero(rejected)
-            if not len(owner) or self._motion is None:
+            owner, index = np.nonzero(rejected & self._predicted[:, None])
+            if not len(owner):
                 break
-            drawn = self._redraw(owner, size)
+            parent = self.rng.integers(size, size=len(owner))
+            drawn = self._redraw(owner, parent)
             survives = self._survives(
                 presence.log_likelihood_of(drawn[:, :self.cloud.dimension], owner))
-            states[owner[survives], index[survives]] = drawn[survives]
-            rejected[owner[survives], index[survives]] = False
+            owner, index, parent = owner[survives], index[survives], parent[survives]
+            states[owner, index] = drawn[survives]
+            weights[owner, index] = inherited[owner, parent]
+            rejected[owner, index] = False
+        self._predicted[:] = False
         starved = rejected.all(axis=1)
         rejected[starved] = False
         owner, index = np.nonzero(rejected)
@@ -100,13 +112,13 @@ class Mcl(ParticleFilter):
             survivors = np.argsort(rejected, axis=1, kind='stable')
             number = size - rejected.sum(axis=1)
             rank = (self.rng.random(len(owner)) * number[owner]).astype(np.int64)
-            states[owner, index] = states[owner, survivors[owner, rank]]
+            survivor = survivors[owner, rank]
+            states[owner, index] = states[owner, survivor]
+            weights[owner, index] = weights[owner, survivor]
         return np.asarray(starved)
 
-    def _redraw(self, owner: Array, size: int) -> Array:
-        """Return new states (M, D + extra) of the vehicles (M,), predicted from any parent."""
-        assert self._motion is not None
-        parent = self.rng.integers(size, size=len(owner))
+    def _redraw(self, owner: Array, parent: Array) -> Array:
+        """Return new states (M, D + extra), predicted from parents (M,) of the vehicles (M,)."""
         motion = self._motion
         if motion.displacement is not None and motion.turn is not None:
             motion = Motion(motion.elapsed, motion.displacement[owner], motion.turn[owner])
