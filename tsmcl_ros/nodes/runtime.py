@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 import math
@@ -71,6 +71,10 @@ _asked_to_stop = threading.Event()
 
 class Stopped(Exception):
     """SIGINT or SIGTERM came while a node was spinning."""
+
+
+class Misuse(Exception):
+    """The command line makes no sense to ROS."""
 
 
 class Node(rclpy.node.Node):  # type: ignore[misc]
@@ -373,53 +377,56 @@ def main(node_class: type[Node], arguments: Sequence[str] | None = None) -> int:
     """
     arguments = sys.argv if arguments is None else arguments
     name = node_class.default_name
-    with _signals_caught():
-        try:
+    try:
+        with session(arguments):
             _parser(node_class).parse_args(remove_ros_args(arguments)[1:])
-            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        except Exception as error:  # rclpy's error types are private
-            print(f'{name}: {_in_one_line(error)}', file=sys.stderr)
-            return 1 if 'params file' in str(error) else 2
-        try:
-            with _closing(node_class()) as node:
+            with closing(node_class()) as node:
                 node.run()
-        except Stopped:
-            pass
-        except TsmclError as error:
-            print(f'{name}: {error}', file=sys.stderr)
-            return 1
-        finally:
-            rclpy.try_shutdown()
+    except Stopped:
+        pass
+    except Misuse as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 2
+    except TsmclError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 1
     return 0
 
 
 @contextmanager
-def _signals_caught() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise the flag, as often as they come: an end is not hurried."""
+def session(arguments: Sequence[str] = ()) -> Iterator[None]:
+    """
+    Use ROS, with SIGINT and SIGTERM ending in `Stopped` while a node spins.
+
+    However often they come: what follows, such as closing a bag, is not hurried.
+
+    Raises
+    ------
+    Misuse, ConfigError
+        If the arguments make no sense, or a parameter file cannot be read.
+    """
     _asked_to_stop.clear()
     before = {
         number: signal.signal(number, lambda *_: _asked_to_stop.set())
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
+        _init(arguments)
         yield
     finally:
+        rclpy.try_shutdown()
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-@contextmanager
-def _closing(node: Node) -> Iterator[Node]:
+def _init(arguments: Sequence[str]) -> None:
     try:
-        yield node
-    finally:
-        node.close()
-
-
-def _in_one_line(error: Exception) -> str:
-    """Return what rcl complains about, without where in its sources."""
-    text = ' '.join(str(error).split())
-    return re.sub(r'^failed to \w+ (rcl|ROS arguments): |,? at /\S+\.c:\d+', '', text, flags=re.I)
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # rclpy's own types are private
+        # What went wrong, without where in rcl's sources.
+        text = re.sub(r'^failed to initialize rcl: |,? at /\S+\.c:\d+', '',
+                      ' '.join(str(error).split()))
+        raise (ConfigError if 'params file' in text else Misuse)(text) from None
 
 
 def _parser(node_class: type[Node]) -> argparse.ArgumentParser:

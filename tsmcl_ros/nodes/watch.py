@@ -1,0 +1,47 @@
+"""What a script sees of a running simulation."""
+
+from __future__ import annotations
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.serialization import deserialize_message
+from tsmcl_ros import messages
+from tsmcl_ros.nodes import runtime
+
+
+class Watch(runtime.Node):
+    """
+    Watches a simulation and the fleet in it.
+
+    Attributes
+    ----------
+    time : float
+        Latest time that /clock has shown [s], NaN before the first.
+    estimated : float
+        Stamp of the latest pose of the vehicle watched [s], NaN before the first.
+    localized : int
+        Number of vehicles that are not lost.
+    """
+
+    default_name = 'watch'
+
+    def __init__(self, pose_topic: str) -> None:
+        super().__init__()
+        self.time = math.nan
+        self.estimated = math.nan
+        self.localized = 0
+        self.listen('/clock', messages.CLOCK, self._take_time, runtime.SENSOR_DATA)
+        self.listen(pose_topic, messages.POSE, self._take_pose, runtime.LATCHED_INPUT)
+        self.listen('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray',
+                    self._take_diagnostics, runtime.RELIABLE)
+
+    def _take_time(self, data: bytes) -> None:
+        self.time = messages.decode_clock(data)
+
+    def _take_pose(self, data: bytes) -> None:
+        self.estimated = messages.decode_pose(data).stamp
+
+    def _take_diagnostics(self, data: bytes) -> None:
+        vehicles = deserialize_message(data, DiagnosticArray).status
+        self.localized = sum(vehicle.level != DiagnosticStatus.ERROR for vehicle in vehicles)

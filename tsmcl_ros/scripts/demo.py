@@ -1,0 +1,327 @@
+"""
+The main job in one command: a fleet that finds itself over DDS, recorded and evaluated.
+
+Anchors, simulator, fleet and recorder run as processes of their own, in a ROS domain of their
+own, so that nothing else on the host takes part.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+import ctypes
+import math
+import os
+from pathlib import Path
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+from typing import Any
+
+from tqdm import tqdm
+from tsmcl_ros.bag import STORAGES
+from tsmcl_ros.methods import METHODS
+from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes.watch import Watch
+from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
+from tsmcl_ros.types import ConfigError, TsmclError
+
+# What config/range_free.yaml holds but the method: an installed demo finds no such files.
+LOCALIZER = {
+    'min_particles': 200, 'max_particles': 2000, 'motion_model': 'odometry',
+    'odom_heading': 'known', 'odom_std': 0.5, 'alpha3': 0.0, 'alpha4': 0.0,
+    'radio_model': 'disk', 'radio_range': 1000.0, 'edge_softness': 1.0, 'silence': 'map',
+}
+# What the recording is run through for comparison; MCL was published with random motion.
+COMPARED = {
+    'ts_mcl': {'method': 'ts_mcl'},
+    'mcl': {'method': 'mcl'},
+    'mcl, random motion': {'method': 'mcl', 'motion_model': 'random'},
+}
+_START_PATIENCE = 60.0  # s, for four processes that import and find each other
+_STOP_PATIENCE = 10.0  # s, for one to close what it has open
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demo and return the exit code."""
+    return run_script(_demonstrate, arguments)
+
+
+def _demonstrate(arguments: Sequence[str] | None) -> None:
+    options = _parser().parse_args(arguments)
+    out = options.out or _unused(Path('out', 'demo'))
+    if out.exists():
+        raise ConfigError(f'--out: {out} exists already, must be a folder to be made')
+    bag = out / 'bag'
+    with Processes(out / 'log') as processes:
+        duration = _simulate(processes, options, bag)
+        runs = {f'{options.method}, over DDS': bag} | _compare(processes, options, bag)
+    _report(options, runs, duration, out, arguments)
+
+
+def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> float:
+    """Record a fleet that is localized over DDS, and return how long it took [simulated s]."""
+    os.environ.update(
+        ROS_DOMAIN_ID=str(_free_domain()),
+        ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+        ROS_LOG_DIR=str(processes.folder),
+    )
+    world = {'mobility': 'fcd', 'trace': options.fcd} if options.fcd else {}
+    fleet = {'vehicles': options.vehicles, 'seed': options.seed}
+    time_of_clock = {'use_sim_time': True}
+    processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
+    processes.start_node('anchor', time_of_clock | {'seed': options.seed})
+    processes.start_node('fleet', time_of_clock | fleet | LOCALIZER | {'method': options.method})
+    processes.start_node('simulator', fleet | world | {
+        'radio_range': LOCALIZER['radio_range'], 'duration': options.duration,
+        'rate': options.rate,
+        'wait_for': 2,  # the fleet and the recorder
+    })
+    try:
+        with runtime.session(), closing(Watch(f'/veh_{options.vehicles - 1}/pose')) as watch:
+            _watch(watch, processes, options)
+            duration = watch.time
+    except runtime.Stopped:
+        raise KeyboardInterrupt from None
+    for name in ('recorder', 'fleet', 'anchor'):
+        processes.stop(name)
+    return duration
+
+
+def _watch(watch: Watch, processes: Processes, options: argparse.Namespace) -> None:
+    """Show the progress until the simulation is over and the last estimate has come."""
+    begin = time.monotonic()
+    with tqdm(
+        total=options.duration, disable=True if options.quiet else None,
+        bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
+    ) as bar:
+        while processes.is_running('simulator'):
+            watch.spin(timeout=0.2)
+            processes.check()
+            if math.isnan(watch.time):
+                if time.monotonic() - begin > _START_PATIENCE:
+                    raise TsmclError(
+                        f'the simulation has not begun within {_START_PATIENCE:g} s, what the '
+                        f'nodes say is in {processes.folder}')
+                continue
+            bar.set_description(f'{watch.localized}/{options.vehicles} vehicles localized', False)
+            bar.update(watch.time - bar.n)
+    watch.spin(lambda: watch.estimated >= watch.time, _STOP_PATIENCE)
+
+
+def _compare(
+    processes: Processes, options: argparse.Namespace, bag: Path,
+) -> dict[str, Path]:
+    """Run the recording through the localizer in process, otherwise set up, side by side."""
+    others = {
+        label: settings for label, settings in COMPARED.items() if label != options.method
+    }
+    if not options.quiet:
+        print(f'the same recording, for comparison: {"; ".join(others)}', file=sys.stderr)
+    runs = {}
+    for label, settings in others.items():
+        name = re.sub(r'\W+', '_', label)
+        runs[label] = bag.with_name(name)
+        given = LOCALIZER | {'seed': options.seed} | settings
+        processes.start(name, 'scripts.localize_bag', [
+            str(bag), '--out', str(runs[label]), '--storage', options.storage, '--quiet',
+            *(f'--{name.replace("_", "-")}={value}' for name, value in given.items()),
+        ])
+    for path in runs.values():
+        processes.wait(path.name)
+    return runs
+
+
+def _report(
+    options: argparse.Namespace, runs: Mapping[str, Path], duration: float, out: Path,
+    arguments: Sequence[str] | None,
+) -> None:
+    """Print the table and write the report."""
+    skip = duration / 2 if options.skip is None else options.skip
+    found = read_all(list(runs.values()), list(runs), skip)
+    print(format_table(found))
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    written = write_evaluation(out, found, shlex.join(['demo', *given]), {
+        'vehicles': options.vehicles,
+        'simulated time': f'{duration:g} s, the first {skip:g} s of it left out',
+        'seed': options.seed,
+        'recordings': ', '.join(map(str, runs.values())),
+    })
+    print(f'{", ".join(written)} are in {out}; the first {skip:g} s are left out')
+
+
+class Processes:
+    """
+    Processes that end when this one does, however it does; a context manager.
+
+    Parameters
+    ----------
+    folder
+        Where to write what they write.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        folder.mkdir(parents=True)
+
+    def start_node(self, name: str, parameters: Mapping[str, Any]) -> None:
+        """Start one of the package's nodes."""
+        given = [word for key, value in parameters.items()
+                 for word in ('-p', f'{key}:={_as_yaml(value)}')]
+        self.start(name, f'nodes.{name}', ['--ros-args', *given])
+
+    def start(self, name: str, module: str, arguments: Sequence[str]) -> None:
+        """Start one of the package's modules."""
+        parent = os.getpid()
+        with self._log(name).open('wb') as log:
+            self._running[name] = subprocess.Popen(
+                [sys.executable, '-m', f'tsmcl_ros.{module}', *arguments],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                # A Ctrl-C is this process's to pass on, in the right order.
+                start_new_session=True,
+                preexec_fn=lambda: _die_with(parent),
+            )
+
+    def is_running(self, name: str) -> bool:
+        """Tell whether a process has not ended."""
+        return self._running[name].poll() is None
+
+    def check(self) -> None:
+        """Raise TsmclError, saying what it said, if a process has failed."""
+        for name, process in self._running.items():
+            if process.poll():
+                lines = self._log(name).read_text(errors='replace').split('\n')
+                said = next(filter(None, reversed(lines)), f'exit code {process.returncode}')
+                raise TsmclError(
+                    f'{said.removeprefix("error: ")} (from {self._log(name)})')
+
+    def wait(self, name: str) -> None:
+        """Wait until a process has ended; raise TsmclError if one fails."""
+        while self.is_running(name):
+            time.sleep(0.05)
+            self.check()
+        self.check()
+
+    def stop(self, name: str) -> None:
+        """End a process: ask, and if it does not heed, insist."""
+        process = self._running[name]
+        for how in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            if process.poll() is None:
+                os.killpg(process.pid, how)
+            try:
+                process.wait(_STOP_PATIENCE)
+                return
+            except subprocess.TimeoutExpired:
+                continue
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        handlers = {number: signal.signal(number, signal.SIG_IGN)
+                    for number in (signal.SIGINT, signal.SIGTERM)}
+        # The recorder was started first, to record all, and so ends last.
+        for name in reversed(self._running):
+            self.stop(name)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+    def _log(self, name: str) -> Path:
+        return self.folder / f'{name}.txt'
+
+
+def _die_with(parent: int) -> None:
+    """Have Linux end this process when its parent dies in whatever way."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _free_domain() -> int:
+    """
+    Return a ROS domain that no other demo on this host uses.
+
+    The claim is a name among Linux's abstract sockets, which the kernel gives once and takes back
+    however the process ends. People choose small domains; those above 101 are not safe.
+    """
+    for domain in range(101, 0, -1):
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f'\0tsmcl_ros_domain_{domain}')
+        except OSError:
+            claim.close()
+            continue
+        _claims.append(claim)
+        return domain
+    raise TsmclError('all 101 ROS domains are in use by other demos')
+
+
+_claims: list[socket.socket] = []
+
+
+def _unused(path: Path) -> Path:
+    """Return a path, numbered if it is there already."""
+    number, found = 1, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f'{path.name}_{number}')
+    return found
+
+
+def _as_yaml(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='demo',
+        description='Vehicles find themselves among anchors over DDS: simulate, localize, record, '
+                    'evaluate, and compare with other methods on the same recording.',
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument('--vehicles', type=_whole, default=40, metavar='N', help='how many')
+    parser.add_argument('--duration', type=_positive, default=200.0, metavar='S',
+                        help='simulated time')
+    parser.add_argument('--rate', type=_positive, default=8.0, metavar='X',
+                        help='simulated time against real time')
+    parser.add_argument('--seed', type=int, default=1, help='of the world and of the localizers')
+    parser.add_argument('--method', choices=tuple(METHODS), default='ts_mcl',
+                        help='what the localizers run')
+    parser.add_argument('--fcd', type=Path, metavar='FILE',
+                        help='SUMO trace that the vehicles follow, instead of random waypoints')
+    parser.add_argument('--out', type=Path, metavar='DIR',
+                        help='folder to make for recording and report; out/demo if not given, or '
+                             'out/demo_2 and so on')
+    parser.add_argument('--storage', choices=STORAGES, default=STORAGES[0],
+                        help='format of the recording')
+    parser.add_argument('--skip', type=float, metavar='S',
+                        help='leave out the first seconds, in which the vehicles are still lost; '
+                             'half of the duration if not given')
+    parser.add_argument('--quiet', action='store_true', help='show no progress')
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be above 0')
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be from 1 to 1000')
+    return value
+
+
+if __name__ == '__main__':
+    sys.exit(main())
