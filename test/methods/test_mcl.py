@@ -212,7 +212,7 @@ def test_what_was_updated_is_not_redrawn_from_what_it_was_before() -> None:
     filter_.start(prior())
     filter_.predict(still())
     filter_.update(listen([(-100.0, 0.0)]))
-    filter_.update(listen([(-110.0, 0.0)]))
+    filter_.update(listen([(0.0, -100.0)]))
     assert distance(filter_, -100.0).max() < 100.02
 
 
