@@ -162,7 +162,9 @@ class Grid:
         if self.belief.size:
             for prior in self._pending:
                 delta = self.cells - prior.mean
-                precision = np.linalg.pinv(prior.covariance)
+                # A cell's own width counts, or an exact prior would fall between the cells.
+                precision = np.linalg.inv(
+                    prior.covariance + np.eye(2) * self.config.grid_cell ** 2 / 12)
                 log = -0.5 * np.einsum('ci,ij,cj->c', delta, precision, delta)
                 self.belief[prior.vehicle] = normalize(log[None])[0].reshape(
                     self.belief.shape[1:])
@@ -187,14 +189,16 @@ def disk_kernel(radius: float) -> Array:
     """
     Return a uniform disk of this radius [cells] as a square with an odd number of cells.
 
-    An even number would drift by half a cell a step. Cells that the edge cuts count by the
-    share of a 9 x 9 raster within.
+    An even number would drift by half a cell a step. The disk is convolved with a linear
+    interpolation hat, so that one smaller than a cell spreads the belief as well.
     """
-    reach = int(np.ceil(radius + 0.5))
+    reach = int(np.ceil(radius)) + 1
     cells = np.arange(-reach, reach + 1)
-    fine = (cells[:, None] + (np.arange(9) - 4) / 9).ravel()
-    inside = fine[:, None] ** 2 + fine[None, :] ** 2 <= max(radius, 0.05) ** 2
-    kernel = inside.reshape(len(cells), 9, len(cells), 9).mean(axis=(1, 3))
+    size = 8 * reach + 64
+    raster = (2 * np.arange(size) + 1) / size - 1
+    inside = raster[:, None] ** 2 + raster[None, :] ** 2 <= 1
+    hat = np.maximum(1 - np.abs(cells[:, None] - radius * raster), 0)
+    kernel = hat @ inside @ hat.T
     return np.asarray(kernel / kernel.sum())
 
 
