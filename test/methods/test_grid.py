@@ -78,8 +78,8 @@ def test_a_disk_kernel_spreads_as_the_disk_does_however_small(radius: float) -> 
     reach = len(kernel) // 2
     outwards = np.abs(np.arange(-reach, reach + 1))
     second = (kernel.sum(axis=0) * outwards ** 2).sum()
-    # A disk's variance is r^2 / 4 an axis. The hat adds f (1 - f) at a fraction f of a cell:
-    # that is 1 / 6 on average, and makes |x| of x^2 within one cell, of which a disk has 4 r / 3 pi.
+    # A disk's variance is r^2 / 4 an axis. The hat adds f (1 - f) at a fraction f of a cell, 1 / 6
+    # on average; within one cell that makes x^2 into |x|, of which a disk has 4 r / (3 pi).
     expected = radius ** 2 / 4 + 1 / 6 if radius > 1 else 4 * radius / (3 * math.pi)
     assert second == pytest.approx(expected, rel=0.03)
 
@@ -169,8 +169,8 @@ def test_missing_odometry_spreads_as_random_motion_does() -> None:
 
 
 def test_a_belief_that_has_left_the_area_could_be_anywhere_in_it() -> None:
-    filter_ = known(0.0, 0.0, 100.0 * np.eye(2))
-    filter_.predict(Motion(1.0, np.array([[700.0, 0.0]]), np.zeros(1)))
+    filter_ = known(0.0, 0.0, 100.0 * np.eye(2), cell=20.0)
+    filter_.predict(Motion(1.0, np.array([[5000.0, 0.0]]), np.zeros(1)))
     covariance = filter_.update(NOTHING).covariance[0]
     np.testing.assert_allclose(covariance, 400.0 ** 2 / 12 * np.eye(2), rtol=1e-3, atol=1.0)
 
