@@ -74,7 +74,7 @@ class OdometryBuffer:
         vehicle = np.arange(len(after))
         before = np.maximum(after - 1, 0)
         low, high = self._stamp[vehicle, before], self._stamp[vehicle, after]
-        with np.errstate(invalid='ignore'):
+        with np.errstate(divide='ignore', invalid='ignore'):
             share = np.clip((stamp - low) / (high - low), 0, 1)
         share = np.where(np.isfinite(low) & (high > low), share, 1)[:, None]
         pose = (1 - share) * self._pose[vehicle, before] + share * self._pose[vehicle, after]
