@@ -2,9 +2,10 @@
 The one pipeline from messages to estimates: input gate, method, health. There is no ROS in it.
 
 The node, the offline bag run and the experiments all drive this class. Its estimates depend on
-the messages' stamps and on their order within each topic, never on how topics interleave: an
-epoch is worked on once every vehicle's beacons and odometry have passed its stamp, or once
-`max_wait` has passed on the messages' own clock.
+the messages' stamps and on their order within each topic, not on how topics interleave: an epoch
+is worked on once every vehicle's beacons and odometry have passed its stamp, or once `max_wait`
+has passed on the messages' own clock. So topics may lag each other by `max_wait`, less the time
+between two odometry poses.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import (
     Array,
+    ConfigError,
     Estimate,
     Estimator,
     MessageError,
@@ -32,6 +34,9 @@ from tsmcl_ros.types import (
 )
 
 OK, STALE, LOST = 0, 1, 2
+
+# Who is not told of any time for this long [s] cannot say where its vehicles have gone.
+_LONGEST_LEAP = 3600.0
 
 
 @dataclass(frozen=True)
@@ -51,21 +56,27 @@ class LocalizerConfig(Config):
         5.0, 'call an estimate stale when no beacon was heard for this long',
         unit='s', above=0.0)
     time_jump: float = param(
-        10.0, 'start anew when stamps go back by more than this, as in a looped bag; reject '
-        'messages that are less late', unit='s', low=0.0)
+        10.0, "start anew when a topic's stamps go back by more than this, as in a looped bag; "
+        'reject messages that are less late', unit='s', low=0.0)
     set_initial_pose: bool = param(False, 'start from initial_pose instead of anywhere')
     initial_pose_x: float = param(0.0, 'initial position', unit='m', name='initial_pose.x')
     initial_pose_y: float = param(0.0, 'initial position', unit='m', name='initial_pose.y')
     initial_pose_z: float = param(0.0, 'initial position', unit='m', name='initial_pose.z')
     initial_pose_yaw: float = param(
-        0.0, 'initial rotation from the odometry frame to the map', unit='rad',
-        name='initial_pose.yaw')
+        0.0, 'initial yaw', unit='rad', name='initial_pose.yaw')
     initial_pose_std: float = param(
         1.0, 'standard deviation of the initial position', unit='m', above=0.0,
         name='initial_pose.std')
     initial_pose_yaw_std: float = param(
         0.2, 'standard deviation of the initial yaw', unit='rad', above=0.0,
         name='initial_pose.yaw_std')
+
+    def check(self) -> None:
+        """Hold that predictions do not come without end."""
+        if 0 < self.outage_period < 0.01:
+            raise ConfigError(
+                f'outage_period: {self.outage_period:g} is not allowed, must be 0 or at least '
+                '0.01 s')
 
 
 CONFIGS: tuple[type[Config], ...] = (
@@ -104,6 +115,11 @@ class Localizer:
     vehicles : int
         V.
 
+    Attributes
+    ----------
+    restarts : int
+        How often time has jumped, and everything started anew.
+
     Raises
     ------
     ConfigError
@@ -118,7 +134,10 @@ class Localizer:
         self.radio_config = build(RadioConfig, settings)
         self.evidence_config = build(EvidenceConfig, settings)
         self.vehicles = vehicles
-        self._anchor_map: Observation | None = None
+        self.restarts = 0
+        self._anchors = KnownAnchors(
+            self.evidence_config.silence, vehicles, self.config.dimension)
+        self._ready: list[Estimate] = []
         self.reset()
         if self.motion_config.motion_model != 'auto':
             # Where method and motion do not fit, fail now rather than at the first epoch.
@@ -128,11 +147,9 @@ class Localizer:
         """Forget everything but the configuration and the anchor map."""
         self._rng = np.random.Generator(np.random.SFC64(self.config.seed))
         self.channel = Channel(self.radio_config, self.evidence_config)
-        self._anchors = KnownAnchors(
-            self.evidence_config.silence, self.vehicles, self.config.dimension)
-        if self._anchor_map is not None:
-            self._anchors.learn_map(self._anchor_map)
+        self._anchors.forget()
         self._odometry = OdometryBuffer(self.vehicles)
+        self._awaits_odometry = False
         self._method: Estimator | None = None
         self._pending: dict[float, dict[int, Observation]] = {}
         self._priors: list[Prior] = []
@@ -167,16 +184,14 @@ class Localizer:
 
     def anchor_map(self, anchors: Observation) -> None:
         """
-        Take over the map of all anchors (V = 1).
+        Take over a map of anchors (V = 1); several complete each other.
 
         Raises
         ------
         MessageError
             If one id stands in it more than once.
         """
-        anchors = anchors.project(self.config.dimension)
-        self._anchors.learn_map(anchors)
-        self._anchor_map = anchors
+        self._anchors.learn_map(anchors.project(self.config.dimension))
 
     def beacons(self, vehicle: int, observation: Observation) -> None:
         """
@@ -185,13 +200,16 @@ class Localizer:
         Raises
         ------
         MessageError
-            If its stamp is not after the last epoch's, or an anchor is not where the map has
-            it.
+            If it comes too late, or an anchor is not where the map has it.
         """
         stamp = observation.stamp
-        self._check_stamp(stamp, self._passed[vehicle], 'beacons')
+        self._admit('beacons', stamp, self._passed[vehicle])
+        if self._last is not None and stamp <= self._last:
+            raise MessageError(
+                f'beacons: stamp {stamp:.6f} s is not allowed, must be after the last epoch, '
+                f'{self._last:.6f} s')
         observation = observation.project(self.config.dimension)
-        self._check_positions(observation)
+        self._anchors.check(observation)
         self._passed[vehicle] = stamp
         self._now = max(self._now, stamp)
         self._pending.setdefault(stamp, {})[vehicle] = observation
@@ -203,14 +221,14 @@ class Localizer:
         Raises
         ------
         MessageError
-            If its stamp is not after the last one's.
+            If it comes too late.
         """
-        self._check_stamp(odometry.stamp, self._odometry.latest[vehicle], 'odometry')
+        self._admit('odometry', odometry.stamp, self._odometry.latest[vehicle])
         self._odometry.add(vehicle, odometry)
         self._now = max(self._now, odometry.stamp)
 
     def initial_pose(self, prior: Prior) -> None:
-        """Replace one vehicle's belief, before the next epoch."""
+        """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
         self._priors.append(prior)
 
     def reinitialize(self, vehicle: int) -> None:
@@ -219,14 +237,14 @@ class Localizer:
             self._method.forget(vehicle)
 
     def clock(self, stamp: float) -> None:
-        """Let time pass [s] without a message; a jump back starts anew."""
-        if stamp < self._now - self.config.time_jump:
-            self.reset()
+        """Let time pass [s] without a message; a jump starts anew."""
+        if self._leaps(stamp, self._now):
+            self._restart()
         self._now = max(self._now, stamp)
 
     def due(self) -> list[Estimate]:
         """Return the estimates of the epochs that have become complete, in order of time."""
-        estimates = []
+        estimates, self._ready = self._ready, []
         while (stamp := self._next_stamp()) is not None and self._settled(stamp):
             heard = self._pending.pop(stamp, {})
             nothing = Observation.empty(1, 0, self.config.dimension, stamp)
@@ -237,11 +255,9 @@ class Localizer:
 
     def finish(self) -> list[Estimate]:
         """Return the estimates of the epochs still waiting, as nothing will come any more."""
-        last = max(self._pending, default=None)
-        if last is None:
-            return []
-        # Not beyond the last epoch: an outage after it is no news.
-        self._now = max(self._now, last + self.config.max_wait)
+        if self._pending:
+            # Not beyond the last epoch: an outage after it is no news.
+            self._now = max(self._now, max(self._pending) + self.config.max_wait)
         return self.due()
 
     def epoch(self, observation: Observation, position: Array | None = None,
@@ -268,11 +284,14 @@ class Localizer:
         motion = self._odometry.motion(self._last, stamp, self.config.dimension)
         if self._method is None:
             self._method = self._make_method(motion is not None)
+            self._awaits_odometry = self.motion_config.motion_model == 'auto' and motion is None
             self._start()
-        elif self._last is not None:
-            self._method.predict(motion or Motion(stamp - self._last))
+        elif self._estimate is not None:
+            if self._awaits_odometry and motion is not None:
+                self._adopt_odometry(self._estimate)
+            self._method.predict(motion or Motion(stamp - self._estimate.stamp))
         for prior in self._priors:
-            self._method.start(prior)
+            self._method.start(self._rotated(prior))
         self._priors = []
         estimate = self._oriented(self._method.update(self._listen(observation)))
         self.channel.calibrate(observation, estimate)
@@ -301,12 +320,25 @@ class Localizer:
 
     def _make_method(self, odometry: bool) -> Estimator:
         config = self.config
-        motion = motion_model(
-            self.motion_config, config.dimension,
-            odometry or self.motion_config.motion_model == 'odometry')
+        motion = motion_model(self.motion_config, config.dimension, odometry)
         method: Estimator = METHODS[config.method](
             self.method_config, self.channel, motion, self.vehicles, config.dimension, self._rng)
         return method
+
+    def _adopt_odometry(self, estimate: Estimate) -> None:
+        """Go on by odometry that began late, from where the vehicles are."""
+        self._awaits_odometry = False
+        self._method = self._make_method(True)
+        for vehicle in np.flatnonzero(np.isfinite(estimate.mean).all(axis=1)).tolist():
+            self._method.start(
+                Prior(vehicle, estimate.mean[vehicle], estimate.covariance[vehicle]))
+
+    def _rotated(self, prior: Prior) -> Prior:
+        """Return the prior with the odometry frame's rotation in place of the vehicle's yaw."""
+        turned = self._odometry.at_epoch[prior.vehicle, 3]
+        if prior.yaw is None or np.isnan(turned):
+            return prior
+        return replace(prior, yaw=prior.yaw - float(turned))
 
     def _start(self) -> None:
         """Give every vehicle the configured initial pose, ahead of what messages brought."""
@@ -335,36 +367,33 @@ class Localizer:
             return True
         if (self._passed < stamp).any():
             return False
-        if self.motion_config.motion_model not in ('auto', 'odometry'):
-            return True
         expected = self._odometry.latest > -np.inf
         if self._method is None:
             # Nobody knows yet who has odometry.
             expected[:] = True
         return bool((self._odometry.latest[expected] >= stamp).all())
 
-    def _check_stamp(self, stamp: float, latest: float, what: str) -> None:
-        """Refuse a message that comes late; start anew where time has jumped back."""
-        if stamp < self._now - self.config.time_jump:
-            self.reset()
-            return
-        if self._last is not None and what == 'beacons':
-            latest = max(latest, self._last)
-        if stamp <= latest:
+    def _admit(self, what: str, stamp: float, latest: float) -> None:
+        """Refuse a message that comes late; start anew where its topic's time has jumped."""
+        if self._leaps(stamp, latest):
+            self._restart()
+        elif stamp <= latest:
             raise MessageError(
                 f'{what}: stamp {stamp:.6f} s is not allowed, must be after the last one, '
                 f'{latest:.6f} s')
-
-    def _check_positions(self, observation: Observation) -> None:
-        """Refuse beacons of an anchor that the map has elsewhere."""
-        if self._anchor_map is None:
-            return
-        same = observation.sender[0][:, None] == self._anchor_map.sender[0]
-        apart = np.abs(observation.position[0][:, None] - self._anchor_map.position[0]).max(axis=2)
-        wrong = np.argwhere(same & (apart > 1.0))
-        if len(wrong):
-            row, anchor = wrong[0]
+        elif stamp < self._now - self.config.time_jump:
             raise MessageError(
-                f'beacons: anchor {observation.sender[0, row]} claims '
-                f'{observation.position[0, row].tolist()} m, must be where the anchor map has '
-                f'it, {self._anchor_map.position[0, anchor].tolist()} m, to 1 m')
+                f'{what}: stamp {stamp:.6f} s is not allowed, must be at most '
+                f'{self.config.time_jump:g} s before the newest of all messages, '
+                f'{self._now:.6f} s')
+
+    def _leaps(self, stamp: float, latest: float) -> bool:
+        """Return whether time jumps: back from the latest, or far ahead of all that is known."""
+        return (stamp < latest - self.config.time_jump
+                or -np.inf < self._now < stamp - _LONGEST_LEAP)
+
+    def _restart(self) -> None:
+        """Start anew; epochs that still waited are not lost."""
+        self._ready = self.finish()
+        self.reset()
+        self.restarts += 1

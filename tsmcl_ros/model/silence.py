@@ -1,11 +1,61 @@
-"""Silence as evidence: which known anchors were not heard, though they might have been."""
+"""Anchors that are known: where they must be, and whose silence is evidence."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Silence
+
+_TOLERANCE = 1.0  # m, how far an anchor may claim to be from where the map has it
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """
+    A table of anchors.
+
+    Attributes
+    ----------
+    identity : (A,) int64
+        Increasing.
+    position : (A, D) float32
+        [m].
+    max_range : (A,) float32
+        [m], NaN where unknown.
+    """
+
+    identity: Array
+    position: Array
+    max_range: Array
+
+    @classmethod
+    def none(cls, dimension: int) -> Anchors:
+        """Return a table without rows."""
+        return cls(np.zeros(0, np.int64), np.zeros((0, dimension), np.float32),
+                   np.zeros(0, np.float32))
+
+    @classmethod
+    def of(cls, observation: Observation, vehicle: Array, row: Array) -> Anchors:
+        """Return some rows (A,) of some vehicles (A,), in increasing order of their ids."""
+        at = vehicle, row
+        return cls(observation.sender[at], observation.position[at], observation.max_range[at])
+
+    def updated(self, news: Anchors) -> Anchors:
+        """Return the rows of both; where both have an anchor, the news win."""
+        identity, first = np.unique(
+            np.concatenate([news.identity, self.identity]), return_index=True)
+        return Anchors(
+            identity,
+            np.concatenate([news.position, self.position])[first].astype(np.float32),
+            np.concatenate([news.max_range, self.max_range])[first].astype(np.float32))
+
+    def find(self, identity: Array) -> tuple[Array, Array]:
+        """Return the rows of some ids, and whether they are there, both in the ids' shape."""
+        if not len(self.identity):
+            return np.zeros(identity.shape, int), np.zeros(identity.shape, bool)
+        index = np.minimum(np.searchsorted(self.identity, identity), len(self.identity) - 1)
+        return index, self.identity[index] == identity
 
 
 class KnownAnchors:
@@ -19,23 +69,33 @@ class KnownAnchors:
         has heard before; 'none': nobody knows any.
     vehicles, dimension : int
         V and D.
+
+    Attributes
+    ----------
+    table : Anchors
+        All that somebody knows.
+    known : (V, A) bool
+        Who knows which.
     """
 
     def __init__(self, mode: str, vehicles: int, dimension: int):
         self.mode = mode
-        self.identity = np.zeros(0, np.int64)
-        self.position = np.zeros((0, dimension), np.float32)
-        self.max_range = np.zeros(0, np.float32)
+        self._map = self.table = Anchors.none(dimension)
         self.known = np.zeros((vehicles, 0), bool)
+
+    def forget(self) -> None:
+        """Forget what was heard, but not the map."""
+        if self.mode == 'memory':
+            self.known = np.zeros_like(self.known)
 
     def learn_map(self, anchors: Observation) -> None:
         """
-        Take over an anchor map (V = 1), replacing what is known of its anchors.
+        Take over an anchor map (V = 1), which may be one of several that complete each other.
 
         Raises
         ------
         MessageError
-            If one id stands in it at two positions.
+            If one id stands in it more than once.
         """
         identity, first = np.unique(anchors.sender[0], return_index=True)
         if len(identity) < anchors.sender.shape[1]:
@@ -43,8 +103,30 @@ class KnownAnchors:
             raise MessageError(
                 f'anchor map: id {anchors.sender[0, twice]} stands in it more than once, must be '
                 'there once')
+        news = Anchors.of(anchors, np.zeros_like(first), first)
+        self._map = self._map.updated(news)
         if self.mode == 'map':
-            self._learn(anchors, np.ones((len(self.known), len(identity)), bool))
+            self._learn(news, np.ones((len(self.known), len(identity)), bool))
+
+    def check(self, observation: Observation) -> None:
+        """
+        Hold that every anchor of the map is where the map has it.
+
+        Raises
+        ------
+        MessageError
+            Naming the first one that is not.
+        """
+        index, there = self._map.find(observation.sender)
+        vehicle, row = np.nonzero(there)
+        place, claim = self._map.position[index[there]], observation.position[there]
+        wrong = np.flatnonzero(np.abs(claim - place).max(axis=1) > _TOLERANCE)
+        if len(wrong):
+            first = wrong[0]
+            raise MessageError(
+                f'beacons: anchor {observation.sender[vehicle[first], row[first]]} claims '
+                f'{claim[first].tolist()} m, must be where the anchor map has it, '
+                f'{place[first].tolist()} m, to {_TOLERANCE:g} m')
 
     def listen(self, observation: Observation, centre: Array, reach: Array) -> Observation:
         """
@@ -66,27 +148,24 @@ class KnownAnchors:
             return observation
         if self.mode == 'memory':
             self._remember(observation)
-        if not len(self.identity):
+        if not self.known.any():
             return observation
+        anchors = self.table
         silent = self.known & ~self._heard(observation)
-        distance = np.linalg.norm(centre[:, None] - self.position, axis=2)
+        distance = np.linalg.norm(centre[:, None] - anchors.position, axis=2)
         # A NaN distance or range compares false: then the anchor stays in.
-        silent &= ~(distance > 2 * self.max_range + reach[:, None])
+        silent &= ~(distance > 2 * anchors.max_range + reach[:, None])
         count = int(silent.sum(axis=1).max())
         order = np.argsort(~silent, axis=1, kind='stable')[:, :count]
         return replace(observation, silent=Silence(
-            known=np.take_along_axis(silent, order, axis=1), sender=self.identity[order],
-            position=self.position[order], max_range=self.max_range[order]))
+            known=np.take_along_axis(silent, order, axis=1), sender=anchors.identity[order],
+            position=anchors.position[order], max_range=anchors.max_range[order]))
 
     def _heard(self, observation: Observation) -> Array:
         """Return which anchors (V, A) bool each vehicle heard, directly or relayed."""
-        vehicle, row = np.nonzero(observation.heard)
-        sender = observation.sender[vehicle, row]
-        index = np.searchsorted(self.identity, sender)
-        index[index == len(self.identity)] = 0
-        match = self.identity[index] == sender
+        index, there = self.table.find(observation.sender)
         heard = np.zeros(self.known.shape, bool)
-        heard[vehicle[match], index[match]] = True
+        heard[np.nonzero(there)[0], index[there]] = True
         return heard
 
     def _remember(self, observation: Observation) -> None:
@@ -95,25 +174,14 @@ class KnownAnchors:
         vehicle, row = np.nonzero(rows)
         identity, first, column = np.unique(
             observation.sender[vehicle, row], return_index=True, return_inverse=True)
-        if not len(identity):
-            return
         seen = np.zeros((len(self.known), len(identity)), bool)
         seen[vehicle, column.reshape(-1)] = True
-        at = vehicle[first], row[first]
-        self._learn(replace(
-            Observation.empty(1, 0, 2, observation.stamp), sender=identity[None],
-            position=observation.position[at][None], max_range=observation.max_range[at][None],
-        ), seen)
+        self._learn(Anchors.of(observation, vehicle[first], row[first]), seen)
 
-    def _learn(self, anchors: Observation, known: Array) -> None:
-        """Merge anchors (V = 1) that the vehicles know (V, A) bool; the new positions win."""
-        identity = np.concatenate([anchors.sender[0], self.identity])
-        position = np.concatenate([anchors.position[0], self.position])
-        max_range = np.concatenate([anchors.max_range[0], self.max_range])
-        merged, first = np.unique(identity, return_index=True)
-        both = np.zeros((len(self.known), len(merged)), bool)
-        both[:, np.searchsorted(merged, self.identity)] = self.known
-        both[:, np.searchsorted(merged, anchors.sender[0])] |= known
-        self.identity, self.known = merged, both
-        self.position = position[first].astype(np.float32)
-        self.max_range = max_range[first].astype(np.float32)
+    def _learn(self, anchors: Anchors, known: Array) -> None:
+        """Merge anchors that the vehicles know (V, A) bool into the table."""
+        merged = self.table.updated(anchors)
+        both = np.zeros((len(self.known), len(merged.identity)), bool)
+        both[:, np.searchsorted(merged.identity, self.table.identity)] = self.known
+        both[:, np.searchsorted(merged.identity, anchors.identity)] |= known
+        self.table, self.known = merged, both
