@@ -7,11 +7,31 @@ The node and the offline bag run share it, so that what one rejects or publishes
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from tsmcl_ros import messages
+from tsmcl_ros.config import Config, param
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import Estimate, MessageError, Prior
+
+
+@dataclass(frozen=True)
+class OutputConfig(Config):
+    """What a localizer publishes beside poses, and in which frames."""
+
+    global_frame_id: str = param('map', 'frame of anchors and poses')
+    odom_frame_id: str = param('odom', 'odometry frame, for TF')
+    base_frame_id: str = param('base_link', "the vehicle's frame, for TF")
+    tf_broadcast: bool = param(
+        False, 'broadcast the transform from map to odom, or to base_link without odometry; '
+        'needs tf2_ros')
+    transform_tolerance: float = param(
+        1.0, 'how far into the future a transform holds', unit='s', low=0)
+    cloud_period: float = param(
+        1.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0)
+    marker_period: float = param(
+        1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0)
 
 
 class Endpoint:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import sys
 
 from tsmcl_ros.config import Config, param
+from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.nodes import runtime
-from tsmcl_ros.nodes.localizer import LocalizerNode, OutputConfig
+from tsmcl_ros.nodes.localizer import LocalizerNode
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 import math
 import sys
@@ -15,8 +14,8 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
-from tsmcl_ros.config import build, Config, param
-from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.config import build
+from tsmcl_ros.endpoint import Endpoint, OutputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer, LOST, OK, STALE
 from tsmcl_ros.nodes import runtime, views
 from tsmcl_ros.nodes.parameters import select
@@ -32,24 +31,6 @@ _QOS = {
     'odom': runtime.SENSOR_DATA,
     'initialpose': runtime.RELIABLE,
 }
-
-
-@dataclass(frozen=True)
-class OutputConfig(Config):
-    """What a localizer publishes beside poses, and in which frames."""
-
-    global_frame_id: str = param('map', 'frame of anchors and poses')
-    odom_frame_id: str = param('odom', 'odometry frame, for TF')
-    base_frame_id: str = param('base_link', "the vehicle's frame, for TF")
-    tf_broadcast: bool = param(
-        False, 'broadcast the transform from map to odom, or to base_link without odometry; '
-        'needs tf2_ros')
-    transform_tolerance: float = param(
-        1.0, 'how far into the future a transform holds', unit='s', low=0)
-    cloud_period: float = param(
-        1.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0)
-    marker_period: float = param(
-        1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0)
 
 
 class LocalizerNode(runtime.Node):
