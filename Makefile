@@ -9,7 +9,7 @@ PYTEST := -m pytest -n 2 --dist loadfile
 SOURCES := setup.py setup.cfg pyproject.toml tools/environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oldest lint clean
+.PHONY: help demo test test-oldest lint bench clean
 
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -27,6 +27,10 @@ test-oldest: $(OLDEST)/test.stamp  ## the test suite with the oldest supported v
 lint: $(VENV)/test.stamp  ## the static checks alone: style, docstrings, types
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/mypy
+
+bench: $(VENV)/test.stamp  ## how fast updates, bags and messages are on this machine
+	@for name in filter bag codec; do \
+	    $(VENV)/bin/python test/benchmark/$$name.py && echo || exit 1; done
 
 clean:  ## remove the environments and what the tools left behind
 	@rm -rf .venv* .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache \

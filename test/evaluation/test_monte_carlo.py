@@ -1,7 +1,9 @@
 """Parallel runs, their seeds, their files, and bootstrap intervals."""
 
+from contextlib import suppress
 import csv
 import json
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -169,14 +171,16 @@ def test_an_interrupt_ends_the_processes():
             '    for process in multiprocessing.active_children():\n'
             '        process.join()\n'
             '    print("ended")\n')
-    process = subprocess.Popen([sys.executable, '-c', code], cwd=Path(__file__).parent, text=True,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, '-c', code], cwd=Path(__file__).parent, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     try:
         assert process.stdout.read(5) == 'begun'
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     finally:
-        process.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
     assert output.endswith('ended\n')
     assert process.returncode == 0
