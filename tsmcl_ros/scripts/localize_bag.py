@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 import re
 import sys
 from typing import Any
@@ -12,14 +13,21 @@ from typing import Any
 from tqdm import tqdm
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Message, Reader, STORAGES, Writer
-from tsmcl_ros.config import add_arguments, given_arguments, load_yaml
-from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.config import add_arguments, build, given_arguments, load_yaml, parameters
+from tsmcl_ros.endpoint import Endpoint, OutputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.scripts.cli import run_script
-from tsmcl_ros.types import BagError, MessageError
+from tsmcl_ros.types import BagError, Estimate, MessageError
 
 # Carried over to the new bag, so that it can be evaluated by itself.
-_CONTEXT = re.compile('.*/(anchor_map|beacons|ground_truth)')
+_CONTEXT = {
+    'anchor_map': messages.POINT_CLOUD,
+    'beacons': messages.POINT_CLOUD,
+    'ground_truth': messages.ODOMETRY,
+}
+# What a parameter file for the node may hold that has no meaning here.
+_NODES_OWN = {'use_sim_time', *(item.name for item in parameters(OutputConfig))}
+_MAX_REASONS = 5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,41 +37,77 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _localize(arguments: Sequence[str] | None) -> None:
     options = _parser().parse_args(arguments)
-    settings: dict[str, Any] = load_yaml(options.params, 'localizer') if options.params else {}
+    file = load_yaml(options.params, 'localizer') if options.params else {}
+    settings = {name: value for name, value in file.items() if name not in _NODES_OWN}
     settings |= given_arguments(options, *CONFIGS)
-    rejected = localize_bag(
-        options.bag, options.out, settings, options.storage, progress=not options.quiet)
-    for reason, count in rejected.items():
-        print(f'rejected {count} messages: {reason}', file=sys.stderr)
-    print(options.out)
+    frame_id = options.global_frame_id or build(OutputConfig, file).global_frame_id
+    outcome = localize_bag(
+        options.bag, options.out, settings, options.storage, frame_id,
+        progress=not options.quiet)
+    for note in outcome.notes():
+        print(f'note: {note}', file=sys.stderr)
+    print(f'{options.out}: {outcome.poses} poses, vehicles: {outcome.vehicles}')
+
+
+@dataclass
+class Outcome:
+    """
+    What became of a bag.
+
+    Attributes
+    ----------
+    vehicles, poses : int
+        How many there are in the new bag.
+    restarts : int
+        How often time jumped, so that the localizer started anew.
+    rejected : Counter of (topic, reason)
+        How often messages were rejected; numbers in the reasons are those of the first one.
+    """
+
+    vehicles: int
+    poses: int = 0
+    restarts: int = 0
+    rejected: Counter[tuple[str, str]] = field(default_factory=Counter)
+    _first: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def reject(self, topic: str, reason: str) -> None:
+        """Count a rejected message; reasons that differ in numbers only are one."""
+        kind = topic, re.sub(r'\d+(\.\d+)?', '#', reason)
+        self.rejected[topic, self._first.setdefault(kind, reason)] += 1
+
+    def notes(self) -> Iterator[str]:
+        """Yield what a user ought to know, a line each."""
+        if self.restarts:
+            yield f'started anew where time jumped, {self.restarts} times'
+        for (topic, reason), count in self.rejected.most_common(_MAX_REASONS):
+            yield f'rejected {count} messages of {topic}: {reason}'
+        if others := self.rejected.most_common()[_MAX_REASONS:]:
+            count = sum(number for _, number in others)
+            yield f'rejected {count} messages more, for {len(others)} other reasons'
 
 
 def localize_bag(
-    bag: str, out: str, settings: dict[str, Any], storage: str = STORAGES[0],
-    progress: bool = False,
-) -> Counter[str]:
+    bag: str, out: str, settings: Mapping[str, Any], storage: str = STORAGES[0],
+    frame_id: str = 'map', progress: bool = False,
+) -> Outcome:
     """
     Localize every vehicle of a bag and write a bag with the poses.
 
     The new bag has, beside `NAMESPACE/pose`, what an evaluation needs of the old one: anchors,
-    beacons and ground truth. A pose's log time is its stamp's, as far as the other messages
-    allow.
+    beacons and ground truth. A pose's log time is that of the message that made it due.
 
     Parameters
     ----------
     bag, out : str
         Folders of the old and the new bag.
-    settings : dict
+    settings : mapping
         Parameters of the localizer.
     storage : str
         Of the new bag.
+    frame_id : str
+        The map's frame.
     progress : bool
         Show a progress bar where standard error is a terminal.
-
-    Returns
-    -------
-    Counter of str
-        How often a message was rejected, by topic and reason.
 
     Raises
     ------
@@ -72,12 +116,13 @@ def localize_bag(
     ConfigError
         If the settings are not allowed.
     """
-    rejected: Counter[str] = Counter()
     with Reader(bag) as reader:
         names = _vehicles(reader)
+        outcome = Outcome(len(names))
         localizer = Localizer(settings, len(names))
-        endpoint = Endpoint(localizer, names)
-        kept = {topic for topic in reader.topics if _CONTEXT.fullmatch(topic)}
+        endpoint = Endpoint(localizer, names, frame_id)
+        kept = {topic for topic, kind in reader.topics.items()
+                if _CONTEXT.get(topic.rpartition('/')[2]) == kind}
         wanted = kept | (set(endpoint.inputs) & set(reader.topics))
         with Writer(out, storage) as writer:
             for topic in sorted(kept):
@@ -91,13 +136,14 @@ def localize_bag(
                 stamp = message.stamp
                 if message.topic in kept:
                     writer.write(message.topic, stamp, message.data)
-                _feed(endpoint, message, rejected)
-                _write_due(endpoint, localizer.due(), writer, stamp)
-            _write_due(endpoint, localizer.finish(), writer, stamp)
-    return rejected
+                _feed(endpoint, message, outcome)
+                outcome.poses += _write(endpoint, localizer.due(), writer, stamp)
+            outcome.poses += _write(endpoint, localizer.finish(), writer, stamp)
+    outcome.restarts = localizer.restarts
+    return outcome
 
 
-def _feed(endpoint: Endpoint, message: Message, rejected: Counter[str]) -> None:
+def _feed(endpoint: Endpoint, message: Message, outcome: Outcome) -> None:
     """Hand one message to the localizer, counting it if it is rejected."""
     kind, handler = endpoint.inputs.get(message.topic, ('', None))
     if handler is None:
@@ -107,26 +153,29 @@ def _feed(endpoint: Endpoint, message: Message, rejected: Counter[str]) -> None:
             raise MessageError(f'type {message.type} is not allowed, must be {kind}')
         handler(message.data)
     except MessageError as error:
-        # Without its numbers a reason counts as one, however often it comes.
-        rejected[re.sub(r'-?\d+\.\d+', '#', f'{message.topic}: {error}')] += 1
+        outcome.reject(message.topic, str(error))
 
 
-def _write_due(endpoint: Endpoint, estimates: list[Any], writer: Writer, stamp: float) -> None:
-    for estimate in estimates:
-        for vehicle, pose in endpoint.poses(estimate):
-            writer.write(endpoint.outputs[vehicle], stamp, pose)
+def _write(endpoint: Endpoint, estimates: list[Estimate], writer: Writer, stamp: float) -> int:
+    """Write the poses of some estimates and return how many these are."""
+    poses = [pose for estimate in estimates for pose in endpoint.poses(estimate)]
+    for vehicle, data in poses:
+        writer.write(endpoint.outputs[vehicle], stamp, data)
+    return len(poses)
 
 
 def _vehicles(reader: Reader) -> list[str]:
     """Return the namespaces that have beacons, in the order of their numbers."""
-    found = [
-        topic.removesuffix('/beacons') for topic, kind in reader.topics.items()
+    topics = [
+        topic for topic, kind in reader.topics.items()
         if topic.endswith('/beacons') and topic != '/beacons' and kind == messages.POINT_CLOUD]
-    if not found:
+    if not topics:
         raise BagError(
             f'{reader.path}: has no topic NAMESPACE/beacons of type {messages.POINT_CLOUD}, has '
             f'{", ".join(sorted(reader.topics))}')
-    return sorted(found, key=lambda name: [
+    if not any(reader.counts[topic] for topic in topics):
+        raise BagError(f'{reader.path}: has no message on {", ".join(sorted(topics))}')
+    return sorted((topic.removesuffix('/beacons') for topic in topics), key=lambda name: [
         int(part) if part.isdigit() else part for part in re.split(r'(\d+)', name)])
 
 
@@ -138,6 +187,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--params', metavar='FILE', help='ROS parameter file (YAML)')
     parser.add_argument('--storage', choices=STORAGES, default=STORAGES[0],
                         help='storage of the new bag (default: %(default)s)')
+    parser.add_argument('--global-frame-id', metavar='NAME',
+                        help="the map's frame (default: that of the parameter file, or map)")
     parser.add_argument('--quiet', action='store_true', help='show no progress')
     add_arguments(parser, *CONFIGS)
     return parser

@@ -1,0 +1,180 @@
+"""A localizer's wire side, with messages that are encoded and decoded for real."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tsmcl_ros import messages
+from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.types import MessageError, Observation, Odometry
+
+CORNERS = np.array([[0, 0, 2], [100, 0, 2], [0, 100, 2], [100, 100, 2]], np.float32)
+SETTINGS = {'min_particles': 200, 'range_std': 1.0, 'max_speed': 5.0}
+
+
+def endpoint(*names, **settings):
+    return Endpoint(Localizer({**SETTINGS, **settings}, len(names)), names)
+
+
+def scan(stamp, place=None):
+    """Return all corners, with their ranges if a place (2,) [m] is given."""
+    heard = replace(Observation.empty(1, 4, 3, stamp), sender=np.array([[1, 2, 3, 4]]))
+    heard.position[0] = CORNERS
+    if place is not None:
+        heard.range[0] = np.linalg.norm(CORNERS[:, :2] - place, axis=1)
+    return heard
+
+
+def encoded(observation, frame_id='map'):
+    return messages.encode_beacons(observation, frame_id)[0]
+
+
+def give(target, topic, data):
+    """Hand a message over as a subscription does."""
+    _, handler = target.inputs[topic]
+    handler(data)
+
+
+def poses(target):
+    return [pose for estimate in target.localizer.finish() for pose in target.poses(estimate)]
+
+
+def test_a_fleets_topics_are_those_in_its_namespaces():
+    target = endpoint('/veh_0', '/veh_7')
+    assert {topic: kind for topic, (kind, _) in target.inputs.items()} == {
+        '/anchor_map': messages.POINT_CLOUD,
+        **{f'/veh_{i}/{name}': kind for i in (0, 7) for name, kind in (
+            ('beacons', messages.POINT_CLOUD), ('odom', messages.ODOMETRY),
+            ('initialpose', messages.POSE))}}
+    assert target.outputs == ['/veh_0/pose', '/veh_7/pose']
+
+
+def test_a_single_vehicles_topics_are_relative():
+    target = endpoint('')
+    assert set(target.inputs) == {'/anchor_map', 'beacons', 'odom', 'initialpose'}
+    assert target.outputs == ['pose']
+
+
+def test_each_topic_is_that_of_its_vehicle():
+    target = endpoint('/a', '/b')
+    give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))
+    give(target, '/b/beacons', encoded(scan(5.0, (70, 60))))
+    found = {vehicle: messages.decode_pose(data) for vehicle, data in poses(target)}
+    np.testing.assert_allclose(found[0].position[:2], (20, 30), atol=1)
+    np.testing.assert_allclose(found[1].position[:2], (70, 60), atol=1)
+
+
+def test_a_pose_is_stamped_with_the_measurement_in_the_maps_frame():
+    target = endpoint('/a')
+    give(target, '/a/beacons', encoded(scan(1234567890.25, (20, 30))))
+    [(_, data)] = poses(target)
+    pose = messages.decode_pose(data)
+    assert (pose.stamp, pose.frame_id) == (1234567890.25, 'map')
+
+
+def test_what_is_not_estimated_has_a_large_variance():
+    target = endpoint('/a')
+    give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))
+    [(_, data)] = poses(target)
+    covariance = messages.decode_pose(data).covariance
+    assert (np.diag(covariance)[:2] < 10).all()
+    assert (np.diag(covariance)[2:] == messages.UNMEASURED).all()
+
+
+def test_the_pose_has_the_yaw_where_odometry_tells_it():
+    target = endpoint('/a', odom_heading='known')
+    for stamp in (4.9, 5.1):
+        give(target, '/a/odom', messages.encode_odometry(
+            Odometry(stamp, np.zeros(3), 0.7), 'odom', 'base_link'))
+    give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))
+    [(_, data)] = poses(target)
+    pose = messages.decode_pose(data)
+    assert pose.yaw == pytest.approx(0.7)
+    assert pose.covariance[5, 5] == 0
+
+
+def test_a_vehicle_that_is_nowhere_yet_has_no_pose():
+    target = endpoint('/a', '/b')
+    give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))
+    assert [vehicle for vehicle, _ in poses(target)] == [0]
+
+
+def test_no_published_pose_ever_holds_nan():
+    target = endpoint('/a', '/b', range_calibration='online')
+    rng = np.random.default_rng(1)
+    published = []
+    for stamp in np.arange(1.0, 60.0):
+        heard = scan(stamp, rng.uniform(-300, 300, 2))  # ranges that contradict each other
+        heard.range[0] *= rng.uniform(0, 5, 4)
+        heard.range[0, rng.random(4) < 0.3] = np.nan
+        give(target, '/a/beacons', encoded(heard))
+        give(target, '/b/beacons', encoded(scan(stamp) if rng.random() < 0.5
+                                           else Observation.empty(1, 0, 3, stamp)))
+        published += [data for estimate in target.localizer.due()
+                      for _, data in target.poses(estimate)]
+    found = [messages.decode_pose(data) for data in published]  # which refuses NaN
+    assert len(found) > 100
+
+
+@pytest.mark.parametrize(('topic', 'what', 'data'), [
+    ('/anchor_map', 'anchor map', encoded(scan(1.0), 'odom')),
+    ('/a/beacons', 'beacons', encoded(scan(1.0), 'odom')),
+    ('/a/initialpose', 'initial pose', messages.encode_pose(
+        1.0, 'odom', np.zeros(2), np.eye(2), 0.0, 1.0))])
+def test_another_frame_is_refused(topic, what, data):
+    with pytest.raises(MessageError,
+                       match=f"{what}: frame_id 'odom' is not allowed, must be 'map'"):
+        give(endpoint('/a'), topic, data)
+
+
+def test_the_maps_frame_can_have_another_name():
+    target = Endpoint(Localizer(SETTINGS), ['/a'], 'world')
+    give(target, '/a/beacons', encoded(scan(1.0, (20, 30)), 'world'))
+    [(_, data)] = poses(target)
+    assert messages.decode_pose(data).frame_id == 'world'
+
+
+def test_damaged_data_are_refused():
+    target = endpoint('/a')
+    for topic, (_, handler) in target.inputs.items():
+        with pytest.raises(MessageError):
+            handler(b'\0\1\0\0' + topic.encode())
+
+
+def test_the_map_of_anchors_is_heeded():
+    target = endpoint('/a')
+    give(target, '/anchor_map', encoded(scan(0.0)))
+    lying = scan(1.0, (20, 30))
+    lying.position[0, 1] += 5
+    with pytest.raises(MessageError, match='anchor 2 claims'):
+        give(target, '/a/beacons', encoded(lying))
+
+
+def initial_pose(x, y, yaw, yaw_variance=0.01):
+    return messages.encode_pose(
+        0.0, 'map', np.array([x, y]), 0.01 * np.eye(2), yaw, yaw_variance)
+
+
+def test_an_initial_pose_places_the_vehicle_before_any_beacon():
+    target = endpoint('/a', '/b')
+    give(target, '/b/initialpose', initial_pose(-40.0, 250.0, 0.0))
+    give(target, '/b/beacons', encoded(Observation.empty(1, 0, 3, 1.0)))
+    [(vehicle, data)] = poses(target)
+    assert vehicle == 1
+    np.testing.assert_allclose(messages.decode_pose(data).position[:2], (-40, 250), atol=0.1)
+
+
+@pytest.mark.parametrize(('yaw', 'known'), [(1.2, True), (np.nan, False)])
+def test_an_initial_yaw_counts_if_it_is_known(yaw, known):
+    target = endpoint('/a', motion_model='odometry')
+    give(target, '/a/initialpose', initial_pose(0.0, 0.0, yaw, 1e-4))
+    for stamp in (0.9, 1.1):
+        give(target, '/a/odom', messages.encode_odometry(
+            Odometry(stamp, np.zeros(3), -2.0), 'odom', 'base_link'))
+    give(target, '/a/beacons', encoded(Observation.empty(1, 0, 3, 1.0)))
+    [(_, data)] = poses(target)
+    pose = messages.decode_pose(data)
+    assert (pose.covariance[5, 5] < 1e-3) == known
+    if known:
+        assert pose.yaw == pytest.approx(1.2, abs=0.01)
