@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import time
 
 import pytest
 import rclpy
@@ -29,6 +30,20 @@ class Probe(runtime.Node):
         """Handle messages until the condition holds; fail if it never does."""
         if not self.spin(condition, PATIENCE):
             pytest.fail(f'waited {PATIENCE:g} s in vain for {what}')
+
+    def insist(self, act: Callable[[], None], condition: Callable[[], bool], what: str) -> None:
+        """
+        Do something again and again until the condition holds; fail if it never does.
+
+        A best-effort message is lost on a subscription that has not found its publisher yet, and
+        the publisher cannot know.
+        """
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            act()
+            self.spin(condition, 0.1)
+            if time.monotonic() > end:
+                pytest.fail(f'did it for {PATIENCE:g} s in vain for {what}')
 
 
 @pytest.fixture

@@ -136,7 +136,7 @@ def test_with_sim_time_log_times_follow_the_clock_and_the_duration_too(
     for stamp in (100.0, 107.5, 119.0):
         clock.publish(messages.encode_clock(stamp))
         talk.publish(odometry(stamp))
-    probe.expect(talk.wait_for_all_acked, 'the acknowledgement')
+        probe.expect(talk.wait_for_all_acked, 'the acknowledgement')
     clock.publish(messages.encode_clock(120.0))
     assert recorder.wait() == 0
     with Reader(tmp_path / 'bag') as bag:

@@ -40,10 +40,10 @@ def wait_until(condition: Callable[[], bool], what: str, timeout: float = 60.0) 
         time.sleep(0.05)
 
 
-def is_recorded(out: Path) -> bool:
-    """Tell whether the simulation of a demo is under way."""
-    log = out / 'log' / 'simulator.txt'
-    return log.exists() and 'are under way' in log.read_text()
+def is_under_way(out: Path) -> bool:
+    """Tell whether the fleet of a demo has heard its first beacons."""
+    log = out / 'log' / 'fleet.txt'
+    return log.exists() and 'OK: ' in log.read_text()
 
 
 def test_one_command_simulates_localizes_records_evaluates_and_compares(
@@ -71,23 +71,23 @@ def test_an_interrupted_demo_leaves_a_complete_bag_and_no_process(
 ) -> None:
     demo = start('scripts.demo', *SMALL)
     out = tmp_path / 'demo'
-    wait_until(lambda: is_recorded(out), 'the simulation')
+    wait_until(lambda: is_under_way(out), 'the simulation')
     assert len(members(out)) == 4
     assert demo.stop(signal.SIGINT) == 0
     assert members(out) == []
     assert 'Traceback' not in demo.output
     with Reader(out / 'bag') as bag:
-        assert bag.counts['/anchor_map'] == 1
+        assert bag.counts['/veh_0/beacons'] > 0
 
 
 def test_processes_of_a_killed_demo_end_too(start: Start, tmp_path: Path) -> None:
     demo = start('scripts.demo', *SMALL)
     out = tmp_path / 'demo'
-    wait_until(lambda: is_recorded(out), 'the simulation')
+    wait_until(lambda: is_under_way(out), 'the simulation')
     os.kill(demo.process.pid, signal.SIGKILL)
     wait_until(lambda: not members(out), 'the end of its processes')
     with Reader(out / 'bag') as bag:
-        assert bag.counts['/anchor_map'] == 1
+        assert bag.counts['/veh_0/beacons'] > 0
 
 
 def test_what_a_node_complains_of_is_shown_and_ends_the_demo(

@@ -53,8 +53,10 @@ class Anchor(runtime.Node):
     def transmit(self, stamp: float) -> None:
         """Broadcast one beacon an anchor."""
         beacons = replace(self._beacons, stamp=stamp)
-        for data in messages.encode_beacons(beacons, self._config.global_frame_id):
-            self._air.publish(data)
+        runtime.publish_all(
+            (self._air, data)
+            for data in messages.encode_beacons(beacons, self._config.global_frame_id)
+        )
 
 
 def _anchors(config: BroadcastConfig, settings: dict[str, Any]) -> Observation:

@@ -136,8 +136,8 @@ class LocalizerNode(runtime.Node):
         self._note_status()
 
     def _publish_poses(self, estimate: Estimate) -> None:
-        for vehicle, data in self._endpoint.poses(estimate):
-            self._poses[vehicle].publish(data)
+        runtime.publish_all(
+            (self._poses[vehicle], data) for vehicle, data in self._endpoint.poses(estimate))
         if self._transforms is not None:
             self._transforms.send(estimate)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import sys
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.nodes import runtime
@@ -83,7 +84,8 @@ class Recorder(runtime.Node):
         return 0 < self._config.duration <= self.now - self._begin
 
     def _discover(self) -> None:
-        """Subscribe to the topics that are new and wanted."""
+        """Record the topics that are new and wanted."""
+        new = {}
         for topic, kinds in sorted(self.get_topic_names_and_types()):
             if topic in self._seen or not self._is_wanted(topic):
                 continue
@@ -92,8 +94,16 @@ class Recorder(runtime.Node):
                 continue
             self._seen.add(topic)
             try:
-                self._record(topic, kinds, qos)
-            except (BagError, MessageError) as error:
+                new[topic] = kinds[0], qos, self._subscribe(topic, kinds, qos)
+            except MessageError as error:
+                self.get_logger().warning(f'{topic} is not recorded: {error}')
+        # Only now, as it takes long, while messages come already.
+        for topic, (kind, qos, subscription) in new.items():
+            try:
+                self._bag.topic(topic, kind, latched=qos is runtime.LATCHED_INPUT)
+                self._counts[topic] = 0
+            except BagError as error:
+                self.destroy_subscription(subscription)
                 self.get_logger().warning(f'{topic} is not recorded: {error}')
 
     def _is_wanted(self, topic: str) -> bool:
@@ -112,13 +122,10 @@ class Recorder(runtime.Node):
             return runtime.RELIABLE
         return runtime.LATCHED_INPUT
 
-    def _record(self, topic: str, kinds: list[str], qos: QoSProfile) -> None:
+    def _subscribe(self, topic: str, kinds: list[str], qos: QoSProfile) -> Subscription:
         if len(kinds) > 1:
             raise MessageError(f'it has several types, {", ".join(kinds)}')
-        runtime.message_class(kinds[0])
-        self._bag.topic(topic, kinds[0], latched=qos is runtime.LATCHED_INPUT)
-        self._counts[topic] = 0
-        self.listen(topic, kinds[0], lambda data: self._take(topic, data), qos)
+        return self.listen(topic, kinds[0], lambda data: self._take(topic, data), qos)
 
     def _take(self, topic: str, data: bytes) -> None:
         now = self.now

@@ -33,6 +33,7 @@ import rclpy.node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, parameters
@@ -60,9 +61,11 @@ LATCHED_INPUT = QoSProfile(
 
 # A subscription that a publisher has found may not have found the publisher yet, and nothing
 # tells when it has.
-SETTLING = 0.5  # s
+SETTLING = 1.0  # s
 
 _PATIENCE = 0.1  # s, longest wait before a signal is looked for
+_BURST = 100  # messages
+_PAUSE = 0.01  # s
 _ROUNDING = 1e-6  # s, more than a stamp of today loses as a float
 
 # Signals come to a process, and not to one of its objects.
@@ -120,7 +123,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
 
     def listen(
         self, topic: str, kind: str, heed: Callable[[bytes], None], qos: QoSProfile,
-    ) -> None:
+    ) -> Subscription:
         """
         Subscribe to the serialized messages of a topic.
 
@@ -138,6 +141,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
 
         subscription = self.create_subscription(message_class(kind), topic, receive, qos, raw=True)
         name = subscription.topic_name
+        return subscription
 
     def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
         """Return a publisher, which takes serialized messages as they are."""
@@ -315,6 +319,19 @@ class _Recurring:
 
     def _latest(self, now: float) -> int:
         return math.floor((now + _ROUNDING) / self.period)
+
+
+def publish_all(messages: Iterable[tuple[Publisher, bytes]]) -> None:
+    """
+    Publish a burst, with pauses in which others take it.
+
+    Shared memory between processes holds 512 messages and half a megabyte; what is more is lost
+    unless the receivers get to run.
+    """
+    for number, (publisher, data) in enumerate(messages, start=1):
+        publisher.publish(data)
+        if number % _BURST == 0:
+            time.sleep(_PAUSE)
 
 
 def topic_filter(parameter: str, patterns: Iterable[str]) -> Callable[[str], bool]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 import math
 import sys
 
 import numpy as np
+from rclpy.publisher import Publisher
 from tsmcl_ros import messages
 from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.model.radio import Channel, RadioConfig
@@ -126,7 +128,7 @@ class Simulator(runtime.Node):
             self.get_logger().warning(
                 f'anchors {silent} did not transmit at {stamp:g} s and are no longer waited for'
             )
-        self._publish(self._world.step(self._air.senders()))
+        runtime.publish_all(self._messages(self._world.step(self._air.senders())))
 
     def _await_beacons(self, clock: bytes) -> bool:
         """Show the time until all anchors have transmitted; who came late may have missed it."""
@@ -136,18 +138,18 @@ class Simulator(runtime.Node):
                 return True
         return False
 
-    def _publish(self, epoch: Epoch) -> None:
+    def _messages(self, epoch: Epoch) -> Iterator[tuple[Publisher, bytes]]:
+        """Yield what there is to tell of an epoch, and by which publisher."""
         frame = self._config.global_frame_id
-        scans = messages.encode_beacons(epoch.observation, frame)
-        for i, scan in enumerate(scans):
+        for i, scan in enumerate(messages.encode_beacons(epoch.observation, frame)):
             truth = Odometry(epoch.stamp, _in_space(epoch.position[i]), float(epoch.yaw[i]))
             odometry = Odometry(
                 epoch.stamp, _in_space(epoch.odom_position[i]), float(epoch.odom_yaw[i]))
-            self._ground_truth[i].publish(messages.encode_odometry(
-                truth, frame, f'veh_{i}/base_link', _ahead(epoch.velocity[i], truth.yaw)))
-            self._odom[i].publish(
-                messages.encode_odometry(odometry, f'veh_{i}/odom', f'veh_{i}/base_link'))
-            self._beacons[i].publish(scan)
+            yield self._ground_truth[i], messages.encode_odometry(
+                truth, frame, f'veh_{i}/base_link', _ahead(epoch.velocity[i], truth.yaw))
+            yield self._odom[i], messages.encode_odometry(
+                odometry, f'veh_{i}/odom', f'veh_{i}/base_link')
+            yield self._beacons[i], scan
 
 
 class Air:

@@ -14,27 +14,40 @@ class Watch(runtime.Node):
     """
     Watches a simulation and the fleet in it.
 
+    Parameters
+    ----------
+    vehicles
+        How many there are.
+
     Attributes
     ----------
     time : float
         Latest time that /clock has shown [s], NaN before the first.
     estimated : float
-        Stamp of the latest pose of the vehicle watched [s], NaN before the first.
+        Stamp of the last vehicle's latest pose [s], NaN before the first.
     localized : int
         Number of vehicles that are not lost.
     """
 
     default_name = 'watch'
 
-    def __init__(self, pose_topic: str) -> None:
+    def __init__(self, vehicles: int) -> None:
         super().__init__()
+        self._poses = [f'/veh_{i}/pose' for i in range(vehicles)]
         self.time = math.nan
         self.estimated = math.nan
         self.localized = 0
         self.listen('/clock', messages.CLOCK, self._take_time, runtime.SENSOR_DATA)
-        self.listen(pose_topic, messages.POSE, self._take_pose, runtime.LATCHED_INPUT)
+        self.listen(self._poses[-1], messages.POSE, self._take_pose, runtime.LATCHED_INPUT)
         self.listen('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray',
                     self._take_diagnostics, runtime.RELIABLE)
+
+    def is_recorded(self) -> bool:
+        """Tell whether each vehicle's pose has a publisher, and a subscription besides ours."""
+        return all(
+            self.count_publishers(topic) and self.count_subscribers(topic) > ours
+            for topic, ours in zip(self._poses, [0] * (len(self._poses) - 1) + [1], strict=True)
+        )
 
     def _take_time(self, data: bytes) -> None:
         self.time = messages.decode_clock(data)

@@ -8,7 +8,7 @@ own, so that nothing else on the host takes part.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 import ctypes
 import math
@@ -76,7 +76,6 @@ def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> f
     fleet = {'vehicles': options.vehicles, 'seed': options.seed}
     time_of_clock = {'use_sim_time': True}
     processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
-    processes.start_node('anchor', time_of_clock | {'seed': options.seed})
     processes.start_node('fleet', time_of_clock | fleet | LOCALIZER | {'method': options.method})
     processes.start_node('simulator', fleet | world | {
         'radio_range': LOCALIZER['radio_range'], 'duration': options.duration,
@@ -84,8 +83,12 @@ def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> f
         'wait_for': 2,  # the fleet and the recorder
     })
     try:
-        with runtime.session(), closing(Watch(f'/veh_{options.vehicles - 1}/pose')) as watch:
-            _watch(watch, processes, options)
+        with runtime.session(), closing(Watch(options.vehicles)) as watch:
+            # The simulation begins with its anchors, once all that is estimated gets recorded.
+            _await(processes, watch, watch.is_recorded)
+            processes.start_node('anchor', time_of_clock | {'seed': options.seed})
+            _await(processes, watch, lambda: not math.isnan(watch.time))
+            _show(watch, processes, options)
             duration = watch.time
     except runtime.Stopped:
         raise KeyboardInterrupt from None
@@ -94,9 +97,19 @@ def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> f
     return duration
 
 
-def _watch(watch: Watch, processes: Processes, options: argparse.Namespace) -> None:
+def _await(processes: Processes, watch: Watch, condition: Callable[[], bool]) -> None:
+    """Wait for something that healthy nodes do soon."""
+    end = time.monotonic() + _START_PATIENCE
+    while not watch.spin(condition, 0.2):
+        processes.check()
+        if time.monotonic() > end:
+            raise TsmclError(
+                f'the nodes have not found each other within {_START_PATIENCE:g} s, what they say '
+                f'is in {processes.folder}')
+
+
+def _show(watch: Watch, processes: Processes, options: argparse.Namespace) -> None:
     """Show the progress until the simulation is over and the last estimate has come."""
-    begin = time.monotonic()
     with tqdm(
         total=options.duration, disable=True if options.quiet else None,
         bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
@@ -104,12 +117,6 @@ def _watch(watch: Watch, processes: Processes, options: argparse.Namespace) -> N
         while processes.is_running('simulator'):
             watch.spin(timeout=0.2)
             processes.check()
-            if math.isnan(watch.time):
-                if time.monotonic() - begin > _START_PATIENCE:
-                    raise TsmclError(
-                        f'the simulation has not begun within {_START_PATIENCE:g} s, what the '
-                        f'nodes say is in {processes.folder}')
-                continue
             bar.set_description(f'{watch.localized}/{options.vehicles} vehicles localized', False)
             bar.update(watch.time - bar.n)
     watch.spin(lambda: watch.estimated >= watch.time, _STOP_PATIENCE)
