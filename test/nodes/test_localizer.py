@@ -19,6 +19,7 @@ from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.runtime import (
+    is_received,
     LATCHED,
     LATCHED_INPUT,
     main,
@@ -61,8 +62,10 @@ class Source:
         self.map.publish(messages.encode_beacons(scene.anchors, 'map')[0])
 
     def is_heard(self) -> bool:
-        return all(talk.get_subscription_count()
-                   for talk in (self.map, *self.beacons, *self.odom))
+        """Tell whether somebody has the map, and listens to all the rest."""
+        return all(
+            talk.get_subscription_count() for talk in (self.map, *self.beacons, *self.odom)
+        ) and is_received(self.map)
 
     def step(self) -> dict[str, bytes]:
         """Let one epoch pass, and return what was published by topic."""
