@@ -28,7 +28,9 @@ def mcl(motion: dict[str, Any], vehicles: int = 1, softness: float = 1e-3, **set
     """Return MCL on disks of 100 m with the paper's 50 particles, without jitter."""
     channel = Channel(RadioConfig(radio_range=100.0, edge_softness=softness),
                       EvidenceConfig(outlier_fraction=0.0))
-    config = MclConfig(**{'min_particles': 50, 'max_particles': 2000, 'jitter': 0.0, **settings})
+    config = MclConfig(**{'min_particles': 50, 'max_particles': 2000, 'jitter': 0.0,
+                          'resample_threshold': 0.5, 'exclusion': 25.0, 'max_redraws': 20,
+                          **settings})
     return Mcl(config, channel, motion_model(MotionConfig(**motion), 2, True), vehicles, 2, rng())
 
 

@@ -26,7 +26,9 @@ HOPELESS = -1e3  # a log-likelihood that no search takes
 
 def ts_mcl(vehicles: int = 1, radio: dict[str, Any] | None = None, **settings: Any) -> TsMcl:
     """Return TS-MCL on disks of 100 m, without jitter and tabu unless the settings say else."""
-    config = TsMclConfig(**{'max_iterations': 10, 'tabu_length': 3, 'tabu_radius': 0.0,
+    config = TsMclConfig(**{'min_particles': 200, 'max_particles': 2000, 'exclusion': 25.0,
+                            'resample_threshold': 0.5, 'max_iterations': 10,
+                            'tabu_length': 3, 'tabu_radius': 0.0,
                             'neighbourhood_scale': 0.0, 'neighbourhood_floor': 0.0,
                             'aspiration': 0.5, 'jitter': 0.0, **settings})
     channel = Channel(RadioConfig(**{'radio_range': 100.0, 'edge_softness': 2.0,

@@ -30,7 +30,8 @@ def cloud(count: int = 100, vehicles: int = 1, heading: bool = False, seed: int 
           **settings: Any) -> Cloud:
     """Return a cloud of as many particles, drawn from as many candidates, without jitter."""
     config = CloudConfig(**{'min_particles': count, 'max_particles': max(count, 2000),
-                            'jitter': 0.0, **settings})
+                            'jitter': 0.0, 'resample_threshold': 0.5, 'exclusion': 25.0,
+                            **settings})
     motion = (OdometryMotion(MotionConfig(odom_heading='unknown')) if heading
               else RandomMotion(MotionConfig(max_speed=10.0)))
     return Cloud(config, motion, vehicles, 2, rng(seed))

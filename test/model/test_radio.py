@@ -125,6 +125,15 @@ def test_the_range_under_shadowing_is_where_the_mean_rssi_meets_the_sensitivity(
     assert channel({**SHADOWED, 'reference_distance': 3.0}).radio_range == pytest.approx(300.0)
 
 
+def test_hardly_anything_is_heard_beyond_the_reach() -> None:
+    assert channel().reach == 100.0
+    radio = channel({**SHADOWED, 'anchor_path_loss': ('7 -30 2 6',)})
+    # Anchor 7 carries furthest: 60 dB below its -30 dBm at 1 m, and five times 6 dB of luck.
+    assert radio.reach == pytest.approx(10 ** ((90.0 - 30.0 + 30.0) / 20.0))
+    assert likelihood(radio, listen(ORIGIN, sender=7), at(radio.reach))[0] == pytest.approx(
+        stats.norm.logcdf(-5.0), rel=1e-3)
+
+
 def test_a_disk_without_a_range_cannot_be_simulated() -> None:
     with pytest.raises(ConfigError, match='radio_range: 0 is not allowed.* above 0 m'):
         channel({'radio_range': 0.0}).hear(np.array([[1.0]]), rng())
