@@ -1,0 +1,136 @@
+"""Recordings of other people's radios through the localizer, to the accuracy that is promised."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tsmcl_ros import csv_log
+from tsmcl_ros.config import load_yaml
+from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join
+from tsmcl_ros.evaluation.recording import read_runs
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.scripts import evaluate, import_csv, localize_bag
+from tsmcl_ros.world import make_world
+import yaml
+
+CONFIG = Path(__file__).parent.parent / 'config'
+SETTLING = 5.0  # s, left out at the start of each BLE track
+
+
+# --- a robot mower with ranging radios and odometry ------------------------------------------
+
+@pytest.fixture(scope='module')
+def plaza1(shared_data, tmp_path_factory):
+    """Return the evaluation of the three command lines that the README shows."""
+    folder = tmp_path_factory.mktemp('plaza1')
+    bag, out = str(folder / 'plaza1'), str(folder / 'plaza1_out')
+    assert import_csv.main([str(shared_data / 'plaza1'), bag]) == 0
+    assert localize_bag.main([bag, '--out', out, '--seed', '1']) == 0
+    assert evaluate.main([out]) == 0
+    document = json.loads((folder / 'plaza1_out_eval' / 'metrics.json').read_text())
+    [run] = read_runs(out)
+    return document, run.vehicles['veh_0'], run.outages
+
+
+def test_plaza1_is_localized_to_3_m_by_raw_ranges(plaza1):
+    document, _, _ = plaza1
+    assert document['overall']['rmse_m'] <= 3.0
+    assert document['overall']['median_m'] <= 1.5
+
+
+def test_plaza1_has_poses_through_its_outage(plaza1):
+    document, track, outages = plaza1
+    assert document['overall']['availability'] > 0.99
+    begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
+    assert end - begin == pytest.approx(97, abs=1)
+    within = (track.truth.stamp > begin) & (track.truth.stamp < end)
+    assert within.sum() == 48
+    assert track.error[within].max() < 10
+
+
+def test_plaza1_knows_how_uncertain_an_outage_makes_it(plaza1):
+    _, track, outages = plaza1
+    begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
+    within = (track.truth.stamp > begin) & (track.truth.stamp < end)
+    assert track.spread[within].max() > 3 * track.spread[within][0]
+    assert (track.error[within] < 3 * track.spread[within]).all()
+
+
+def test_plaza1_is_tracked_to_the_end(plaza1):
+    _, track, _ = plaza1
+    late = track.truth.stamp > track.end - 600
+    assert np.sqrt(np.mean(track.error[late] ** 2)) < 1.5
+
+
+# --- a walked Bluetooth tag ------------------------------------------------------------------
+
+@pytest.fixture(scope='module')
+def tracks(shared_data):
+    paths = sorted(shared_data.glob('ble_*'))
+    assert len(paths) == 5
+    return paths
+
+
+@pytest.fixture(scope='module')
+def bags(tracks, tmp_path_factory):
+    """Return a function that imports a track."""
+    folder = tmp_path_factory.mktemp('ble')
+
+    def imported(track, *options):
+        bag = folder / '_'.join([track.name, *options])
+        if not bag.exists():
+            assert import_csv.main([str(track), str(bag), *options]) == 0
+        return bag
+
+    return imported
+
+
+def rmse(bag, out, settings):
+    localize_bag.localize_bag(str(bag), str(out), {**settings, 'seed': 1})
+    [run] = read_runs(out, skip=SETTLING)
+    return run.overall.rmse_m
+
+
+KINDS = pytest.mark.parametrize(('config', 'options', 'inflation', 'bound'), [
+    ('ble_rssi', (), 1.5, 2.1), ('ble_range_free', ('--threshold', '-72'), 1.0, 2.9)])
+
+
+@KINDS
+def test_the_tag_is_localized_with_one_parameter_file(
+        config, options, inflation, bound, tracks, bags, tmp_path):
+    settings = load_yaml(CONFIG / f'{config}.yaml')
+    errors = [rmse(bags(track, *options), tmp_path / track.name, settings) for track in tracks]
+    assert np.mean(errors) <= bound
+
+
+@KINDS
+def test_the_path_losses_hold_for_tracks_that_they_are_not_fitted_to(
+        config, options, inflation, bound, tracks, bags, tmp_path):
+    samples = {track: gather(csv_log.read_log(track)) for track in tracks}
+    errors = []
+    for track in tracks:
+        pooled, single, _ = fit_anchors(join(samples[one] for one in tracks if one != track))
+        fitted = yaml.safe_load(as_parameters(pooled, single, inflation))
+        settings = {**load_yaml(CONFIG / f'{config}.yaml'), **fitted['/**']['ros__parameters']}
+        errors.append(rmse(bags(track, *options), tmp_path / track.name, settings))
+    assert np.mean(errors) <= bound
+
+
+# --- simulated cars in a city of 3 km ---------------------------------------------------------
+
+def test_40_cars_in_a_city_find_themselves_by_beacons_of_1_km(shared_data):
+    trace = shared_data / 'sumo_grid40' / 'fcd40.xml.gz'
+    world = make_world(
+        {'mobility': 'fcd', 'trace': str(trace), 'vehicles': 40, 'radio_range': 1000.0},
+        np.random.default_rng(1))
+    localizer = Localizer({**load_yaml(CONFIG / 'range_free.yaml'), 'seed': 1}, 40)
+    localizer.anchor_map(world.anchors)
+    errors = []
+    for _ in range(240):
+        epoch = world.step()
+        estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+        errors.append(np.linalg.norm(estimate.mean - epoch.position, axis=1))
+    # Cars that wait at traffic lights learn slowly: 5000 particles get no further.
+    assert np.median(errors[:20]) > 100
+    assert np.median(errors[-20:]) < 20
