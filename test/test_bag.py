@@ -8,6 +8,7 @@ import threading
 from mcap.reader import make_reader
 import numpy as np
 import pytest
+from rosbags import rosbag2
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import storage_mcap
 from tsmcl_ros import messages
@@ -209,6 +210,22 @@ def test_a_signal_in_the_midst_of_a_record_comes_after_it(tmp_path, interrupted_
     with Reader(tmp_path / 'bag') as reader:
         found = [messages.decode_clock(one.data) for one in reader.messages()]
     assert found == list(range(1000))
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_a_signal_while_a_bag_is_made_leaves_it_complete(tmp_path, monkeypatch, storage):
+    whole = rosbag2.Writer.open
+
+    def interrupted(bag):
+        whole(bag)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(rosbag2.Writer, 'open', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Writer(tmp_path / 'bag', storage)
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+    with pytest.raises(BagError, match='holds no messages'):
+        Reader(tmp_path / 'bag')
 
 
 def test_bags_are_written_in_any_thread(tmp_path):

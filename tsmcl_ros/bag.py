@@ -162,14 +162,19 @@ class Writer:
         self._connections: dict[str, Connection] = {}
         self._pending: list[tuple[Connection, int, bytes]] = []
         self._open = False
-        with _writable(self.path):
-            self._bag = rosbag2.Writer(
-                self.path,
-                version=rosbag2.Writer.VERSION_LATEST,
-                storage_plugin=rosbag2.StoragePlugin[storage.upper()],
-            )
-            self._bag.open()
-        self._open = True
+        try:
+            with _writable(self.path):
+                self._bag = rosbag2.Writer(
+                    self.path,
+                    version=rosbag2.Writer.VERSION_LATEST,
+                    storage_plugin=rosbag2.StoragePlugin[storage.upper()],
+                )
+                self._bag.open()
+                self._open = True
+        except KeyboardInterrupt:
+            # A signal that waited: nobody else can close what nobody has yet.
+            self.close()
+            raise
 
     def topic(self, name: str, type: str, latched: bool = False) -> None:  # noqa: A002
         """
