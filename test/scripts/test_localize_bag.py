@@ -3,6 +3,7 @@
 from dataclasses import replace
 import signal
 import sqlite3
+import time
 
 from mcap.reader import make_reader
 import numpy as np
@@ -395,6 +396,7 @@ def test_stopping_leaves_a_complete_bag(start, tmp_path):
                     '--min-particles', 20_000, '--max-particles', 20_000)
     while not (tmp_path / 'out' / 'out.mcap').exists():
         assert process.process.poll() is None, process.output
+        time.sleep(0.02)
     assert process.stop(signal.SIGTERM) == 0
     assert 'Traceback' not in process.output
     assert (tmp_path / 'out' / 'metadata.yaml').exists()
