@@ -607,5 +607,5 @@ def test_memory_does_not_grow():
             used.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
-    # A minute's messages take ten times that; coverage, where it is on, keeps notes of its own.
+    # Kept, these minutes' messages would take four times that; coverage keeps notes of its own.
     assert max(used[1:]) - min(used[1:]) < 50_000
