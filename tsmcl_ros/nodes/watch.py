@@ -43,10 +43,11 @@ class Watch(runtime.Node):
                     self._take_diagnostics, runtime.RELIABLE)
 
     def is_recorded(self) -> bool:
-        """Tell whether each vehicle's pose has a publisher, and a subscription besides ours."""
+        """Tell whether somebody else listens to the anchors and to each vehicle's pose."""
+        ours = self._poses[-1]
         return all(
-            self.count_publishers(topic) and self.count_subscribers(topic) > ours
-            for topic, ours in zip(self._poses, [0] * (len(self._poses) - 1) + [1], strict=True)
+            self.count_publishers(topic) and self.count_subscribers(topic) > (topic == ours)
+            for topic in ('/anchor_map', '/beacons', *self._poses)
         )
 
     def _take_time(self, data: bytes) -> None:

@@ -76,17 +76,17 @@ def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> f
     fleet = {'vehicles': options.vehicles, 'seed': options.seed}
     time_of_clock = {'use_sim_time': True}
     processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
+    processes.start_node('anchor', time_of_clock | {'seed': options.seed})
     processes.start_node('fleet', time_of_clock | fleet | LOCALIZER | {'method': options.method})
-    processes.start_node('simulator', fleet | world | {
-        'radio_range': LOCALIZER['radio_range'], 'duration': options.duration,
-        'rate': options.rate,
-        'wait_for': 2,  # the fleet and the recorder
-    })
     try:
         with runtime.session(), closing(Watch(options.vehicles)) as watch:
-            # The simulation begins with its anchors, once all that is estimated gets recorded.
+            # Last, once all that anchors and fleet say gets recorded.
             _await(processes, watch, watch.is_recorded)
-            processes.start_node('anchor', time_of_clock | {'seed': options.seed})
+            processes.start_node('simulator', fleet | world | {
+                'radio_range': LOCALIZER['radio_range'], 'duration': options.duration,
+                'rate': options.rate,
+                'wait_for': 2,  # the fleet and the recorder
+            })
             _await(processes, watch, lambda: not math.isnan(watch.time))
             _show(watch, processes, options)
             duration = watch.time
