@@ -7,9 +7,16 @@ import signal
 from typing import Any
 
 import pytest
+import rclpy.node
 from tsmcl_ros import messages
-from tsmcl_ros.config import Config, param
+from tsmcl_ros.config import Config, param, Parameter, parameters
+from tsmcl_ros.nodes.anchor import Anchor
+from tsmcl_ros.nodes.fleet import Fleet
+from tsmcl_ros.nodes.localizer import LocalizerNode
+from tsmcl_ros.nodes.recorder import Recorder
+from tsmcl_ros.nodes.replay import Replay
 from tsmcl_ros.nodes.runtime import main, message_class, Node, Rejections, RELIABLE, SENSOR_DATA
+from tsmcl_ros.nodes.simulator import Simulator
 from tsmcl_ros.types import ConfigError, MessageError
 
 Ros = Callable[..., None]
@@ -197,3 +204,20 @@ def test_message_classes_are_found_by_the_name_of_their_type() -> None:
 def test_a_message_type_that_is_not_installed_is_named(kind: str) -> None:
     with pytest.raises(MessageError, match=f'message type {kind} is not installed'):
         message_class(kind)
+
+
+@pytest.mark.parametrize('kind', [Anchor, Simulator, LocalizerNode, Fleet])
+def test_nodes_leave_the_attributes_of_rclpys_nodes_alone(ros: Ros, kind: type[Node]) -> None:
+    ros()
+    plain, node = rclpy.node.Node('plain'), kind()
+    for name, value in vars(plain).items():
+        assert value is None or type(getattr(node, name)) is type(value), name
+    node.close()
+
+
+@pytest.mark.parametrize('kind', [Anchor, Simulator, LocalizerNode, Fleet, Recorder, Replay])
+def test_parameters_that_share_a_name_are_the_same(kind: type[Node]) -> None:
+    known: dict[str, Parameter] = {}
+    for config in kind.configs:
+        for item in parameters(config):
+            assert known.setdefault(item.name, item) == item
