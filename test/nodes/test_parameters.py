@@ -109,6 +109,7 @@ def test_a_parameter_set_while_running_reaches_the_settings(ros: Ros) -> None:
     ('colour', 'green', 'must be one of red, blue'),
     ('speed', 6.0, 'out of range'),
     ('wheels', 3, 'read-only'),
+    ('use_sim_time', True, 'use_sim_time cannot change while the node runs'),
 ])
 def test_a_value_that_is_not_allowed_is_refused_with_a_reason_and_changes_nothing(
     ros: Ros, name: str, value: object, reason: str,

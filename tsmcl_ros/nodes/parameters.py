@@ -69,6 +69,9 @@ def declare(
         )
 
     def refuse(changes: list[RosParameter]) -> SetParametersResult:
+        if any(change.name == 'use_sim_time' for change in changes):
+            return SetParametersResult(
+                successful=False, reason='use_sim_time cannot change while the node runs')
         try:
             _check(configs, values | _converted(changes, known))
         except ConfigError as error:

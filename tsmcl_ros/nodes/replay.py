@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 import sys
@@ -129,12 +130,16 @@ class Replay(runtime.Node):
         self._show(self._begin)
         self._latch()
         pace = runtime.Pace(self)
+        runtime.publish_all(self._messages(pace))
+        self._advance(self._position + _AFTERWARDS, pace)
+
+    def _messages(self, pace: runtime.Pace) -> Iterator[tuple[Publisher, bytes]]:
+        """Yield each message that has not been latched, and its publisher, when it is time."""
         for message in self._bag.messages(self._played):
             is_sent = message.topic in self._bag.latched and message.stamp <= self._begin
             if message.stamp >= self._begin and not is_sent:
                 self._advance(message.stamp, pace)
-                self._played[message.topic].publish(message.data)
-        self._advance(self._position + _AFTERWARDS, pace)
+                yield self._played[message.topic], message.data
 
     def _latch(self) -> None:
         """Publish what had been latched when the replay begins, and have it received."""

@@ -164,7 +164,9 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         """
         Handle messages until a condition holds or the timeout [s] has passed.
 
-        The condition is looked at after every callback. A timeout of zero handles one event.
+        Messages are handled in the order in which they come, across topics too, but for those
+        that came before the first spin. The condition is looked at after every callback; a
+        timeout of zero handles one event.
 
         Returns
         -------
@@ -321,14 +323,14 @@ class _Recurring:
         return math.floor((now + _ROUNDING) / self.period)
 
 
-def publish_all(messages: Iterable[tuple[Publisher, bytes]]) -> None:
+def publish_all(burst: Iterable[tuple[Publisher, bytes]]) -> None:
     """
     Publish a burst, with pauses in which others take it.
 
     Shared memory between processes holds 512 messages and half a megabyte; what is more is lost
     unless the receivers get to run.
     """
-    for number, (publisher, data) in enumerate(messages, start=1):
+    for number, (publisher, data) in enumerate(burst, start=1):
         publisher.publish(data)
         if number % _BURST == 0:
             time.sleep(_PAUSE)
