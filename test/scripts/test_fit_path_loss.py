@@ -63,7 +63,8 @@ def test_inflation_multiplies_each_sigma_and_nothing_else(tmp_path):
 def test_parameters_can_be_written_to_a_file(tmp_path, capsys):
     path = tmp_path / 'radio.yaml'
     assert main([write_log(tmp_path / 'log'), '--out', str(path)]) == 0
-    assert capsys.readouterr().out == f'{path}: the path loss of all anchors, and 1 of single ones\n'
+    assert capsys.readouterr().out == (
+        f'{path}: the path loss of all anchors, and 1 of single ones\n')
     assert load_yaml(path)['radio_model'] == 'lognormal'
 
 
