@@ -41,6 +41,9 @@ class CloudConfig(Config):
     exclusion: float = param(
         25.0, "place a vehicle anew when its best particle's log-likelihood is below minus "
         'this and 0.7 a reference', above=0.0)
+    patience: int = param(
+        5, 'epochs in a row in which even the best particle takes most measurements for '
+        'outliers, before the vehicle is placed anew', low=1)
 
     def check(self) -> None:
         """Hold that the first epoch has at least as many particles as the later ones."""
@@ -76,6 +79,7 @@ class Cloud:
         self.placed = np.zeros(vehicles, bool)
         self._log_likelihood = np.full(vehicles, np.nan)
         self._drawn = np.zeros(vehicles, bool)
+        self._doubts = np.zeros(vehicles, int)
         self._reinitialized = np.zeros(vehicles, bool)
 
     @property
@@ -115,9 +119,18 @@ class Cloud:
         self._reinitialized = self._reinitialized | which
 
     def excluded(self, evidence: Evidence, log_likelihood: Array) -> Array:
-        """Return the vehicles (V,) bool of which the evidence excludes even the best particle."""
-        bar = -self.config.exclusion - 0.7 * evidence.terms
-        return np.asarray(self.placed & (log_likelihood.max(axis=1) < bar))
+        """
+        Return the vehicles (V,) bool of which the evidence excludes even the best particle.
+
+        That is at once where presence says so, and by a row of epochs where measurements do,
+        whose likelihood has a floor.
+        """
+        best = log_likelihood.max(axis=1)
+        # One outlier is no news of the vehicle; a row of epochs that are nothing but outliers is.
+        self._doubts = np.where(best < evidence.floor / 2, self._doubts + 1,
+                                np.where(evidence.heard, 0, self._doubts))
+        hopeless = best < -self.config.exclusion - 0.7 * evidence.terms
+        return np.asarray(self.placed & (hopeless | (self._doubts >= self.config.patience)))
 
     def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None
                 ) -> Array:
@@ -200,6 +213,7 @@ class Cloud:
         self._equalize(vehicle)
         self.placed[vehicle] = True
         self._drawn[vehicle] = True
+        self._doubts[vehicle] = 0
 
     def _equalize(self, vehicle: Array | int) -> None:
         """Give some vehicles' particles equal weights."""

@@ -221,6 +221,9 @@ class Evidence:
         Their log-likelihoods add up.
     terms : (V,) float32
         Number of terms in that sum, at least 1.
+    floor : (V,) float32
+        What the log-likelihood comes to where every measurement is an outlier; -inf if nothing
+        was measured, or outliers are not reckoned with.
     heard : (V,) bool
         False for a vehicle that heard nothing; its likelihood is 1 everywhere.
     region : callable
@@ -229,6 +232,7 @@ class Evidence:
 
     factors: tuple[Factor, ...]
     terms: Array
+    floor: Array
     heard: Array
     region: Callable[[], Array]
 

@@ -276,12 +276,15 @@ class Channel:
                 references, excess=column(excess), weight=column(powered),
                 slope=column(loss.slope), floor=self._floor))
             terms += powered.sum(axis=1)
+        floor = np.full(len(heard), -np.inf, np.float32)
+        if self._floor > 0:
+            floor[terms > 0] = math.log(self._floor) * terms[terms > 0]
         boundary = self._boundary(observation, bounded, radius, heard)
         if boundary is not None:
             factors.append(boundary)
             terms += np.isfinite(boundary.radius).sum(axis=(1, 2))
         return Evidence(
-            factors=tuple(factors), terms=np.maximum(terms, 1), heard=heard,
+            factors=tuple(factors), terms=np.maximum(terms, 1), floor=floor, heard=heard,
             region=lambda: self._box(observation, ranged, powered, bounded, radius))
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
