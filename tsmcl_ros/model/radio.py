@@ -288,9 +288,19 @@ class Channel:
             region=lambda: self._box(observation, ranged, powered, bounded, radius))
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
-        """Learn from an epoch what the ranges are like, if that is switched on."""
-        if self.switches.range_calibration == 'online':
-            self.calibration.learn(observation, estimate, self._range_std(observation))
+        """
+        Learn from an epoch what the ranges are like, if that is switched on.
+
+        Vehicles that take most of their ranges for outliers are lost, and teach nothing.
+        """
+        if self.switches.range_calibration == 'off':
+            return
+        std = self._range_std(observation)
+        if self._floor > 0:
+            ranges = (observation.heard & ~np.isnan(observation.range)).sum(axis=1)
+            lost = ~(estimate.log_likelihood > math.log(self._floor) / 2 * ranges)
+            std = np.where(lost[:, None], np.inf, std)
+        self.calibration.learn(observation, estimate, std)
 
     def _range_std(self, observation: Observation) -> Array:
         """Return the standard deviation (V, K) [m] of each range."""
