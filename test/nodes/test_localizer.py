@@ -263,6 +263,27 @@ def test_time_that_goes_back_is_told_once_and_localization_starts_anew(
     assert capfd.readouterr().err.count('time went back from 5.000 s to 1.000 s') == 1
 
 
+def test_while_no_message_comes_poses_are_predicted_as_the_clock_goes_on(
+    begin: Callable[..., Scene],
+) -> None:
+    scene = begin(use_sim_time=True, outage_period=2.0, max_wait=0.5)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    clock = scene.probe.talk('/clock', messages.CLOCK, RELIABLE)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(lambda: source.is_heard() and clock.get_subscription_count() == 2, 'listeners')
+    for count in (1, 2):
+        clock.publish(messages.encode_clock(1000.0 + count))  # the clock of the sensors differs
+        source.step()
+        scene.until(lambda count=count: len(poses) == count, 'a pose')
+    for step in range(14):
+        clock.publish(messages.encode_clock(1002.0 + step / 2))
+    scene.until(lambda: len(poses) == 4, 'two predictions')
+    decoded = [messages.decode_pose(data) for data in poses]
+    assert [pose.stamp for pose in decoded] == [1.0, 2.0, 4.0, 6.0]
+    spread = [np.trace(pose.covariance[:2, :2]) for pose in decoded]
+    assert spread[1] < spread[2] < spread[3]
+
+
 def test_malformed_messages_are_reported_and_the_node_goes_on(
     probe: Any, start: Start,
 ) -> None:

@@ -57,8 +57,9 @@ class LocalizerNode(runtime.Node):
         self._status = np.full(len(names), LOST)
         self._latency = math.nan
         self._arrival = time.monotonic()
-        # What the localizer's time was at the last message, and what /clock showed then.
-        self._told, self._told_at = math.nan, math.nan
+        # What the localizer's time was at the last message, and what /clock showed next.
+        self._told: float | None = None
+        self._told_at: float | None = None
         self._offer()
         self._subscribe()
         self.get_logger().info(
@@ -72,10 +73,14 @@ class LocalizerNode(runtime.Node):
     def pass_time(self, now: float) -> None:
         """Let the localizer know of time that passes without messages."""
         super().pass_time(now)
-        if self.follows_clock and not math.isnan(elapsed := now - self._told_at):
-            # Messages have clocks of their own: what counts is how long ago the last one came.
-            self._localizer.clock(self._told + elapsed)
-            self._publish_due()
+        if not self.follows_clock or self._told is None:
+            return
+        # Messages have clocks of their own: what counts is for how long none came. It counts from
+        # the first /clock after the last one, as the one before may be older by a whole step.
+        if self._told_at is None:
+            self._told_at = now
+        self._localizer.clock(self._told + now - self._told_at)
+        self._publish_due()
 
     def _offer(self) -> None:
         """Create publishers, services, and the timer of the diagnostics."""
@@ -106,8 +111,10 @@ class LocalizerNode(runtime.Node):
     def _heed(self, handler: Callable[[bytes], None], data: bytes) -> None:
         """Hand a message to the localizer, and publish what has become due by it."""
         self._arrival = time.monotonic()
+        before = self._localizer.now
         handler(data)
-        self._told, self._told_at = self._localizer.now, self.now
+        if self._localizer.now > before:
+            self._told, self._told_at = self._localizer.now, None
         self._publish_due()
 
     def _heed_map(self, handler: Callable[[bytes], None], data: bytes) -> None:

@@ -131,7 +131,7 @@ class Replay(runtime.Node):
         self._latch()
         pace = runtime.Pace(self)
         runtime.publish_all(self._messages(pace))
-        self._advance(self._position + _AFTERWARDS, pace)
+        self._advance(self._position + _AFTERWARDS + 2 * self._clock_step(), pace)
 
     def _messages(self, pace: runtime.Pace) -> Iterator[tuple[Publisher, bytes]]:
         """Yield each message that has not been latched, and its publisher, when it is time."""
@@ -162,13 +162,16 @@ class Replay(runtime.Node):
     def _advance(self, stamp: float, pace: runtime.Pace) -> None:
         """Let the bag's time pass until a stamp [s]; the clock is never ahead of the messages."""
         while self._position < stamp:
-            rate = self.settings['rate']
-            next_shown = self._shown + _CLOCK_PERIOD * rate
+            next_shown = self._shown + self._clock_step()
             until = min(stamp, next_shown)
-            pace.wait((until - self._position) / rate)
+            pace.wait((until - self._position) / self.settings['rate'])
             self._position = until
             if until == next_shown:
                 self._show(until)
+
+    def _clock_step(self) -> float:
+        """Return how far the clock is advanced at once, in the bag's time [s]."""
+        return float(_CLOCK_PERIOD * self.settings['rate'])
 
     def _show(self, stamp: float) -> None:
         self._shown = stamp
