@@ -156,7 +156,8 @@ class TsMclConvergence:
     def _world(self, case: Case, rng: np.random.Generator) -> World:
         apart = case['anchors_apart_m']
         if not apart:
-            # Legs begin when the run does, as they do in the papers' simulations.
+            # Legs begin when the run does. In the model's steady state most vehicles are slow,
+            # cross few edges of radio disks in the time, and all medians are a metre higher.
             return make_world({**RADIO, 'vehicles': self.vehicles, 'odom_noise': 0.5,
                                'max_speed': SPEED, 'start_distribution': 'uniform'}, rng)
         anchors = np.array([[-apart / 2, 0.0], [apart / 2, 0.0]])

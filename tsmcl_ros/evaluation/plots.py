@@ -238,7 +238,8 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
         ax.axhline(level, color=FAINT, linewidth=1.0, linestyle='--')
         ax.annotate(_shown(f'{label}: {level:.0f} m'), (1.0, level), (0, 2), color=FAINT,
                     xycoords=ax.get_yaxis_transform(), textcoords='offset points', ha='right',
-                    fontsize=8)
+                    fontsize=8,
+                    bbox={'facecolor': 'white', 'alpha': 0.8, 'linewidth': 0, 'pad': 0})
     drawn = np.concatenate([*curves.values(), list(levels.values())])
     drawn = drawn[drawn > 0]
     _make_logarithmic(ax, 'y', float(drawn.min()) / 1.3, 1.3 * float(drawn.max()))
