@@ -10,7 +10,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from tsmcl_ros.nodes import runtime
 
-PATIENCE = 30.0  # s, for anything that healthy nodes do at once, on a machine under load
+PATIENCE = 90.0  # s, for anything that healthy nodes do at once, on a machine under load
 
 
 class Probe(runtime.Node):

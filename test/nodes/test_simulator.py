@@ -43,8 +43,10 @@ def simulate(probe: Any, start: Start, epochs: int, rate: float) -> dict[str, li
     listeners = probe.count_subscribers('/veh_0/odom')
     anchors = start('nodes.anchor', *overrides(
         use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
+    # A busy machine is no dead anchor.
     simulator = start('nodes.simulator', *overrides(
-        seed=5, wait_for=listeners, rate=rate, duration=epochs * SMALL['beacon_period'],
+        seed=5, beacon_timeout=20.0, wait_for=listeners, rate=rate,
+        duration=epochs * SMALL['beacon_period'],
         **{name: value for name, value in SMALL.items() if name not in ANCHORS[:2]}))
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0
