@@ -46,8 +46,8 @@ class OdometryBuffer:
     def add_all(self, stamp: float, position: Array, yaw: Array | None) -> None:
         """Append a pose of every vehicle: (V, D) [m], (V,) [rad]."""
         turn = 0 if yaw is None else yaw - self._pose[:, -1, 3]
-        self._stamp = np.roll(self._stamp, -1, axis=1)
-        self._pose = np.roll(self._pose, -1, axis=1)
+        self._stamp[:, :-1] = self._stamp[:, 1:]
+        self._pose[:, :-1] = self._pose[:, 1:]
         self._stamp[:, -1] = stamp
         self._pose[:, -1] = self._pose[:, -2]
         self._pose[:, -1, :position.shape[1]] = position
