@@ -121,7 +121,8 @@ def test_no_published_pose_ever_holds_nan():
     ('/anchor_map', 'anchor map', encoded(scan(1.0), 'odom')),
     ('/a/beacons', 'beacons', encoded(scan(1.0), 'odom')),
     ('/a/initialpose', 'initial pose', messages.encode_pose(
-        1.0, 'odom', np.zeros(2), np.eye(2), 0.0, 1.0))])
+        1.0, 'odom', np.zeros(2), np.eye(2), 0.0, 1.0))],
+    ids=['anchor map', 'beacons', 'initial pose'])  # padding differs between processes
 def test_another_frame_is_refused(topic, what, data):
     with pytest.raises(MessageError,
                        match=f"{what}: frame_id 'odom' is not allowed, must be 'map'"):

@@ -270,6 +270,16 @@ def test_what_fills_the_gaps_between_fields_does_not_matter():
     assert len(messages._known_layouts) <= before + 1
 
 
+def test_equal_observations_make_equal_bytes_whatever_the_memory_held():
+    scan = observation(references=50)
+    first, = messages.encode_beacons(scan, 'map')
+    used = [np.full(3000, 255, np.uint8) for _ in range(100)]  # 50 rows of 60 bytes
+    del used
+    assert messages.encode_beacons(scan, 'map') == [first]
+    data = np.frombuffer(deserialize_message(first, PointCloud2).data, np.uint8)
+    assert not data.reshape(50, 60)[:, 18:20].any()  # between hops and max_range
+
+
 def test_layouts_are_not_remembered_without_end():
     for step in range(100, 200):
         messages.decode_beacons(cloud([beacon()], step=step))

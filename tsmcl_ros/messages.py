@@ -154,9 +154,10 @@ def encode_beacons(observation: Observation, frame_id: str) -> list[bytes]:
     for row, column, name in _UPPER_TRIANGLE:
         if column < dimension:
             rows[name] = observation.covariance[..., row, column]
+    # Picked as words: numpy may copy a structured row field by field, and padding stays chance.
     return [
         _encode_cloud(observation.stamp, frame_id, scan[heard])
-        for scan, heard in zip(rows, observation.heard, strict=True)
+        for scan, heard in zip(_words(rows), observation.heard, strict=True)
     ]
 
 
@@ -638,8 +639,8 @@ def _check_rows(rows: Array) -> None:
 
 
 def _words(rows: Array) -> Array:
-    """Return rows (K,) as floats (K, 15), among them the words that are none."""
-    return rows.view('<f4').reshape(len(rows), _WORDS)
+    """Return rows (...) as floats (..., 15), among them the words that are none."""
+    return rows.view('<f4').reshape(*rows.shape, _WORDS)
 
 
 def _check_claims(rows: Array) -> None:
@@ -790,13 +791,13 @@ def _encode_layout() -> bytes:
 _BEACON_LAYOUT = _encode_layout()
 
 
-def _encode_cloud(stamp: float, frame_id: str, rows: Array) -> bytes:
+def _encode_cloud(stamp: float, frame_id: str, words: Array) -> bytes:
     writer = cdr.Writer()
     _write_header(writer, stamp, frame_id)
-    writer.values('II', 1, len(rows))
+    writer.values('II', 1, len(words))
     writer.raw(_BEACON_LAYOUT)
-    data = rows.tobytes()
+    data = words.tobytes()
     writer.values('II', len(data), len(data))
     writer.raw(data)
-    writer.values('?', not np.isnan(_words(rows)[:, list(_WORD.values())]).any())
+    writer.values('?', not np.isnan(words[:, list(_WORD.values())]).any())
     return writer.finish()
