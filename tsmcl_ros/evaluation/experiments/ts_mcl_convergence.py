@@ -1,4 +1,4 @@
-"""The claims of the papers as experiments, by the names that users give."""
+"""The error of TS-MCL over time, range-free, and what each kind of evidence is worth."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
-from tsmcl_ros.evaluation.metrics import normalized_error_squared
+from tsmcl_ros.evaluation.experiments.common import follow, goal, Parked, rmse
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
-    Experiment,
     Finding,
-    Interval,
     Outcome,
     Report,
     Result,
     significant,
-    Stopwatch,
 )
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.model.mobility import State
 from tsmcl_ros.model.radio import Channel, RadioConfig
-from tsmcl_ros.types import Array, Observation
+from tsmcl_ros.types import Array
 from tsmcl_ros.world import anchor_table, make_world, World, WorldConfig
 
 RANGE = 1000.0  # m, of all radios of the TS-MCL paper
@@ -197,11 +193,11 @@ class TsMclConvergence:
         compared = bootstrap_interval(
             lambda pair: rmse(pair[0]) / rmse(pair[1]), np.stack([tabu.late, most.late]))
         return [
-            _goal(f'{what}median over epochs {self.epochs // 2}-{self.epochs}',
+            goal(f'{what}median over epochs {self.epochs // 2}-{self.epochs}',
                   bootstrap_interval(np.median, tabu.late), CLAIMED, ' m'),
-            _goal(f'{what}median at epoch {self.epochs}',
+            goal(f'{what}median at epoch {self.epochs}',
                   bootstrap_interval(np.median, tabu.late[-1:]), 4.0, ' m'),
-            _goal(f'{what}RMSE over that of a bootstrap filter with {most.particles}',
+            goal(f'{what}RMSE over that of a bootstrap filter with {most.particles}',
                   compared, 1.1),
         ]
 
@@ -228,62 +224,6 @@ class TsMclConvergence:
         return findings
 
 
-# Each at full size, and at one that takes seconds.
-EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
-    'ts_mcl_convergence': (
-        TsMclConvergence(),
-        TsMclConvergence(
-            runs=2, vehicles=8, epochs=20, bootstrap=((200, 2000), (1000, 10_000)),
-            grid_cell=100.0, exact_vehicles=4, lens_vehicles=20, lens_epochs=5)),
-}
-
-
-class Track(NamedTuple):
-    """Error [m] and NEES of V vehicles in T epochs (T, V), and what localizing took [s]."""
-
-    error: Array
-    nees: Array
-    seconds: float
-
-
-def follow(world: World, localizer: Localizer, epochs: int, odometry: bool) -> Track:
-    """
-    Localize a world's vehicles, or the first of them, through some beacon periods.
-
-    Parameters
-    ----------
-    world : World
-        It moves on.
-    localizer : Localizer
-        Of as many vehicles as are to be localized.
-    epochs : int
-        T.
-    odometry : bool
-        Whether the vehicles have it.
-    """
-    shape = epochs, localizer.vehicles
-    error, nees = np.full(shape, np.nan), np.full(shape, np.nan)
-    watch = Stopwatch()
-    localizer.anchor_map(world.anchors)
-    for row in range(epochs):
-        epoch = world.step()
-        observation = _first(epoch.observation, localizer.vehicles)
-        with watch:
-            estimate = localizer.epoch(
-                observation, epoch.odom_position[:shape[1]] if odometry else None,
-                epoch.odom_yaw[:shape[1]] if odometry else None)
-        known = np.isfinite(estimate.mean).all(axis=1)
-        off = estimate.mean[known] - epoch.position[:shape[1]][known]
-        error[row, known] = np.linalg.norm(off, axis=1)
-        nees[row, known] = normalized_error_squared(off, estimate.covariance[known])
-    return Track(error, nees, watch.seconds)
-
-
-def rmse(error: Array, axis: int | None = None) -> Any:
-    """Return the root mean square of what is known of the errors."""
-    return np.sqrt(np.nanmean(np.square(error), axis=axis))
-
-
 def lens_radius(apart: float, reach: float) -> float:
     """
     Return the RMS distance [m] of the points of a lens from its middle.
@@ -306,19 +246,6 @@ def uniform_in_lens(count: int, apart: float, reach: float, rng: np.random.Gener
         inside = np.hypot(np.abs(drawn[:, 0]) + apart / 2, drawn[:, 1]) < reach
         points = np.concatenate([points, drawn[inside]])
     return points[:count]
-
-
-class Parked:
-    """A mobility whose vehicles stay where they are, at positions (V, 2) [m]."""
-
-    duration = math.inf
-
-    def __init__(self, position: Array):
-        self.state = State(position, np.zeros_like(position), np.zeros(len(position)))
-
-    def step(self, elapsed: float) -> State:
-        """Stay."""
-        return self.state
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,21 +301,6 @@ def _find(curves: Sequence[Curve], evidence: str, method: str, apart: float = 0.
                 if (curve.evidence, curve.filter, curve.apart) == (evidence, method, apart))
 
 
-def _goal(claim: str, measured: Interval, goal: float, unit: str = '') -> Finding:
-    """Return whether a value is as small as it should be."""
-    verdict = 'reached' if measured.value <= goal else (
-        'missed, though within the interval' if measured.low <= goal else 'missed')
-    return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', '', verdict)
-
-
 def _possible(limit: float, reason: str) -> str:
     """Say whether the paper's claim can be true where an error of less than a limit [m] cannot."""
     return f'not reproducible: {reason}' if limit > CLAIMED else 'not excluded'
-
-
-def _first(observation: Observation, vehicles: int) -> Observation:
-    """Return what the first vehicles heard."""
-    if vehicles == len(observation.sender):
-        return observation
-    return Observation.stack(
-        [observation.vehicle(index) for index in range(vehicles)], observation.stamp)

@@ -1,4 +1,4 @@
-"""The experiments: what they simulate, and what they conclude."""
+"""The error of TS-MCL over time: what is simulated, and what is concluded."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,20 +7,16 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 from tsmcl_ros.config import load_yaml
-from tsmcl_ros.evaluation.experiments import (
+from tsmcl_ros.evaluation.experiments import EXPERIMENTS
+from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import (
     EVIDENCE,
-    EXPERIMENTS,
-    follow,
     lens_radius,
-    Parked,
     TsMclConvergence,
     uniform_in_lens,
 )
 from tsmcl_ros.evaluation.monte_carlo import Outcome, Result, run_experiment
-from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.world import make_world
 
-CONFIG = Path(__file__).parents[2] / 'config'
+CONFIG = Path(__file__).parents[3] / 'config'
 
 
 @pytest.fixture(scope='module')
@@ -39,13 +35,6 @@ def made_up(experiment, error):
                 'error_m': np.full(12, error(case)), 'nees': np.full(12, 2.0)}
         results.append(Result(case, 0, Outcome(rows, 1.2)))
     return results
-
-
-@pytest.mark.parametrize('name', EXPERIMENTS)
-def test_the_quick_version_is_of_the_same_kind(name):
-    full, quick = EXPERIMENTS[name]
-
-    assert type(full) is type(quick)
 
 
 def test_the_odometry_curves_have_the_parameters_that_the_demo_runs():
@@ -153,21 +142,3 @@ def test_points_of_a_lens_lie_in_it_and_fill_it():
     # The standard error of this RMS of 4000 points is 3 m.
     assert np.sqrt(np.mean(np.sum(points**2, axis=1))) == pytest.approx(
         lens_radius(1000, 1000), abs=10)
-
-
-def test_parked_vehicles_stay():
-    parked = Parked(np.ones((2, 2)))
-
-    assert parked.step(5.0).position.tolist() == [[1, 1], [1, 1]]
-
-
-def test_the_first_vehicles_of_a_world_can_be_followed_alone():
-    tracks = []
-    for vehicles in (3, 6):
-        world = make_world({'vehicles': 6, 'radio_range': 1000.0}, np.random.default_rng(1))
-        localizer = Localizer({'method': 'grid', 'motion_model': 'random', 'grid_cell': 100.0,
-                               'grid_x_max': 4000.0, 'grid_y_max': 4000.0}, vehicles)
-        tracks.append(follow(world, localizer, 4, odometry=False).error)
-
-    # The exact filter draws no random numbers, so company makes no difference.
-    np.testing.assert_allclose(tracks[0], tracks[1][:, :3])

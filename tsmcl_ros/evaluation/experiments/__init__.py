@@ -1,0 +1,13 @@
+"""The claims of the papers as experiments, by the names that users give."""
+
+from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import TsMclConvergence
+from tsmcl_ros.evaluation.monte_carlo import Experiment
+
+# Each at full size, and at one that takes seconds.
+EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
+    'ts_mcl_convergence': (
+        TsMclConvergence(),
+        TsMclConvergence(
+            runs=2, vehicles=8, epochs=20, bootstrap=((200, 2000), (1000, 10_000)),
+            grid_cell=100.0, exact_vehicles=4, lens_vehicles=20, lens_epochs=5)),
+}

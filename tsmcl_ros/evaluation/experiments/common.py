@@ -1,0 +1,88 @@
+"""What experiments share: following vehicles through a world, and judging the errors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from tsmcl_ros.evaluation.metrics import normalized_error_squared
+from tsmcl_ros.evaluation.monte_carlo import Finding, Interval, Stopwatch
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.mobility import State
+from tsmcl_ros.types import Array, Observation
+from tsmcl_ros.world import World
+
+
+class Track(NamedTuple):
+    """Error [m] and NEES of V vehicles in T epochs (T, V), and what localizing took [s]."""
+
+    error: Array
+    nees: Array
+    seconds: float
+
+
+def follow(world: World, localizer: Localizer, epochs: int, odometry: bool) -> Track:
+    """
+    Localize a world's vehicles, or the first of them, through some beacon periods.
+
+    Parameters
+    ----------
+    world : World
+        It moves on.
+    localizer : Localizer
+        Of as many vehicles as are to be localized.
+    epochs : int
+        T.
+    odometry : bool
+        Whether the vehicles have it.
+    """
+    shape = epochs, localizer.vehicles
+    error, nees = np.full(shape, np.nan), np.full(shape, np.nan)
+    watch = Stopwatch()
+    localizer.anchor_map(world.anchors)
+    for row in range(epochs):
+        epoch = world.step()
+        observation = first_vehicles(epoch.observation, localizer.vehicles)
+        with watch:
+            estimate = localizer.epoch(
+                observation, epoch.odom_position[:shape[1]] if odometry else None,
+                epoch.odom_yaw[:shape[1]] if odometry else None)
+        known = np.isfinite(estimate.mean).all(axis=1)
+        off = estimate.mean[known] - epoch.position[:shape[1]][known]
+        error[row, known] = np.linalg.norm(off, axis=1)
+        nees[row, known] = normalized_error_squared(off, estimate.covariance[known])
+    return Track(error, nees, watch.seconds)
+
+
+class Parked:
+    """A mobility whose vehicles stay where they are, at positions (V, 2) [m]."""
+
+    duration = math.inf
+
+    def __init__(self, position: Array):
+        self.state = State(position, np.zeros_like(position), np.zeros(len(position)))
+
+    def step(self, elapsed: float) -> State:
+        """Stay."""
+        return self.state
+
+
+def rmse(error: Array, axis: int | None = None) -> Any:
+    """Return the root mean square of what is known of the errors."""
+    return np.sqrt(np.nanmean(np.square(error), axis=axis))
+
+
+def goal(claim: str, measured: Interval, goal: float, unit: str = '') -> Finding:
+    """Return whether a value is as small as it should be."""
+    verdict = 'reached' if measured.value <= goal else (
+        'missed, though within the interval' if measured.low <= goal else 'missed')
+    return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', '', verdict)
+
+
+def first_vehicles(observation: Observation, vehicles: int) -> Observation:
+    """Return what the first vehicles heard."""
+    if vehicles == len(observation.sender):
+        return observation
+    return Observation.stack(
+        [observation.vehicle(index) for index in range(vehicles)], observation.stamp)
