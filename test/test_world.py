@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from scipy import stats
 from tsmcl_ros.config import dump_yaml, parameters
 from tsmcl_ros.model.mobility import State
 from tsmcl_ros.model.radio import Channel, RadioConfig
-from tsmcl_ros.types import ConfigError, LogError, Observation
+from tsmcl_ros.model.relay import Poses, RelayConfig
+from tsmcl_ros.types import ANCHOR, ConfigError, LogError, Observation, VEHICLE
 from tsmcl_ros.world import (
     anchor_table,
     AnchorConfig,
@@ -433,3 +435,131 @@ def test_no_parameter_of_the_world_is_declared_twice() -> None:
 
 def test_the_defaults_of_the_world_can_be_dumped() -> None:
     assert 'anchor_spacing: 1000.0' in dump_yaml(*(config() for config in CONFIGS))
+
+
+# Vehicles as senders
+
+
+def known(mean: np.ndarray, stamp: float = 0.0, std: float = 1.0) -> Poses:
+    vehicles, dimension = mean.shape
+    return Poses(np.full(vehicles, stamp), mean.copy(),
+                 np.tile(std ** 2 * np.eye(dimension), (vehicles, 1, 1)))
+
+
+def standing(position: np.ndarray = VEHICLES, reach: float = 150.0, anchors: Observation = ANCHORS,
+             relay_hops: int = 1, **settings: object) -> World:
+    """Return a world in which nobody moves."""
+    still = SimpleNamespace(state=State(
+        position, np.zeros_like(position), np.zeros(len(position))), duration=math.inf)
+    still.step = lambda elapsed: still.state
+    radio = {name: settings.pop(name) for name in ('measure_range', 'range_std')
+             if name in settings}
+    return World(WorldConfig(vehicles=len(position), **settings), disk(reach, **radio), still,
+                 anchors, rng(), relaying=RelayConfig(relay_hops=relay_hops))
+
+
+def heard_of_vehicles(observation: Observation) -> list[list[int]]:
+    rows = observation.heard & (observation.kind == VEHICLE)
+    return [(senders[used] - 1_000_000).tolist()
+            for senders, used in zip(observation.sender, rows, strict=True)]
+
+
+def test_a_vehicle_hears_the_poses_of_others_in_range_and_never_its_own() -> None:
+    epoch = standing().step(poses=known(VEHICLES + 5))
+    assert heard_of_vehicles(epoch.observation) == [[1], [0], []]
+
+
+def test_a_vehicle_claims_where_it_believes_to_be_and_is_heard_from_where_it_is() -> None:
+    world = standing(measure_range=True, range_std=1e-3, odom_noise=0.0)
+    observation = world.step(poses=known(VEHICLES + [0, 7000])).observation
+    row = observation.kind[0].tolist().index(VEHICLE)
+    np.testing.assert_array_equal(observation.position[0, row], [100.0, 7000.0])
+    np.testing.assert_allclose(observation.range[0, row], 100.0, atol=0.01)
+
+
+def test_cooperation_changes_nothing_of_what_is_heard_of_anchors() -> None:
+    settings = {**HEADLINE, 'measure_range': True, 'drop_rate': 0.2}
+    alone, together = (make_world(settings, rng()) for _ in range(2))
+    for _ in range(3):
+        one = alone.step()
+        other = together.step(poses=known(one.position, one.stamp - 1)).observation
+        anchors = replace(other, sender=np.where(other.kind == VEHICLE, -1, other.sender))
+        for name in ('sender', 'range', 'position'):
+            assert getattr(Observation.join([anchors]), name).tobytes() == (
+                getattr(one.observation, name).tobytes())
+
+
+def test_a_pose_is_moved_by_odometry_whose_noise_is_added_for_each_period() -> None:
+    state = straight(0.0)
+    moving = SimpleNamespace(state=state(0.0), way=0.0, duration=math.inf)
+
+    def step(elapsed: float) -> State:
+        moving.way += 3.0 * elapsed
+        return State(np.concatenate([state(moving.way).position, [[0.0, 0.0]]]),
+                     np.zeros((2, 2)), np.zeros(2))
+
+    moving.step, moving.state = step, step(0.0)
+    world = World(WorldConfig(vehicles=2, odom_noise=0.5, odom_scale_noise=0.1), disk(100.0),
+                  moving, ANCHORS, rng())
+    odometry = [world.step().odom_position for _ in range(3)]
+    observation = world.step(poses=known(np.array([[50.0, 60.0], [0.0, 0.0]]), 2.0)).observation
+    row = observation.kind[1].tolist().index(VEHICLE)
+    way = world._odometry.position[0] - odometry[1][0]
+    np.testing.assert_allclose(observation.position[1, row], [50, 60] + way, rtol=1e-6)
+    expected = 1 + 2 * 0.5 ** 2 + (0.1 * np.linalg.norm(way)) ** 2
+    np.testing.assert_allclose(observation.covariance[1, row], expected * np.eye(2), rtol=1e-6)
+
+
+def test_poses_between_two_periods_are_moved_by_interpolated_odometry() -> None:
+    world = make_world({**HEADLINE, 'vehicles': 2, 'radio_range': 1e4}, rng())
+    way = [np.zeros((2, 2)), world.step().odom_position]
+    way.append(world.step(poses=known(np.zeros((2, 2)), 0.75)).odom_position)
+    told = world._up_to_date(known(np.zeros((2, 2)), 0.75), 2.0).mean
+    np.testing.assert_allclose(told, way[2] - (0.25 * way[0] + 0.75 * way[1]))
+
+
+def test_without_a_common_heading_a_pose_stays_and_may_be_as_far_off_as_a_vehicle_drives() -> None:
+    world = standing(odom_heading='unknown')
+    observation = world.step(poses=known(VEHICLES)).observation
+    row = observation.kind[0].tolist().index(VEHICLE)
+    np.testing.assert_array_equal(observation.position[0, row], VEHICLES[1])
+    # A disk of radius R has a variance of R^2 / 4 along each axis.
+    np.testing.assert_allclose(observation.covariance[0, row], (1 + 50.0 ** 2 / 4) * np.eye(2))
+
+
+@pytest.mark.parametrize(('stamp', 'told'), [(-2.0, True), (-2.5, False), (0.5, True),
+                                             (1.5, False), (np.nan, False)])
+def test_poses_of_the_last_periods_are_broadcast(stamp: float, told: bool) -> None:
+    epoch = standing().step(poses=known(VEHICLES, stamp))
+    assert heard_of_vehicles(epoch.observation) == ([[1], [0], []] if told else [[], [], []])
+
+
+def test_who_is_lost_does_not_broadcast() -> None:
+    poses = known(VEHICLES)
+    poses.mean[0] = np.nan
+    poses.covariance[1] *= 150.0 ** 2
+    assert heard_of_vehicles(standing().step(poses=poses).observation) == [[], [], []]
+
+
+def test_vehicles_relay_anchors_with_poses_or_without() -> None:
+    far = anchor_table(np.array([[-60.0, 0.0], [160.0, 0.0], [900.0, 0.0]]))
+    for poses in (None, known(VEHICLES)):
+        heard = standing(reach=120.0, anchors=far, relay_hops=2).step(poses=poses).observation
+        anchors = heard.heard & (heard.kind == ANCHOR)
+        rows = [dict(zip(heard.sender[i, anchors[i]].tolist(), heard.hops[i, anchors[i]].tolist(),
+                         strict=True)) for i in range(3)]
+        assert rows == [{0: 1, 1: 2}, {1: 1, 0: 2}, {2: 1}]
+
+
+def test_lost_beacons_of_vehicles_are_as_many_as_the_drop_rate_says() -> None:
+    place = np.zeros((60, 2))
+    heard = standing(place, drop_rate=0.3).step(poses=known(place)).observation
+    count = sum(map(len, heard_of_vehicles(heard)))
+    assert stats.binomtest(count, 60 * 59, 0.7).pvalue > SIGNIFICANCE
+
+
+def test_a_vehicle_that_has_the_identity_of_an_anchor_is_refused() -> None:
+    world = standing(anchors=anchor_table(np.zeros((1, 2)), np.array([1_000_002])))
+    world.step()
+    with pytest.raises(ConfigError, match='vehicle_id_offset: 1000000 is not allowed'):
+        world.step(poses=known(VEHICLES))

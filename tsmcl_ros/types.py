@@ -7,6 +7,7 @@ one local Cartesian map frame, stamps are seconds.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -132,6 +133,41 @@ class Observation:
                 getattr(whole, name)[row:row + count, :width] = getattr(part, name)
             row += count
         return whole
+
+    @classmethod
+    def tabulate(cls, vehicle: Array, rows: Mapping[str, Array], vehicles: int, dimension: int,
+                 stamp: float) -> Observation:
+        """
+        Return an observation of V vehicles, padded to the most rows that one of them has.
+
+        Parameters
+        ----------
+        vehicle : (M,) int
+            Whose each row is; in increasing order.
+        rows : mapping of str to (M, ...) array
+            What the rows say, by field; the others are as in `empty`.
+        vehicles, dimension : int
+            V and D.
+        stamp : float
+            [s].
+        """
+        count = np.bincount(vehicle, minlength=vehicles)
+        table = cls.empty(vehicles, int(count.max(initial=0)), dimension, stamp)
+        # They are sorted by vehicle, so they fill the table's rows in its own order.
+        place = np.arange(table.sender.shape[1]) < count[:, None]
+        for name, values in rows.items():
+            getattr(table, name)[place] = values
+        return table
+
+    @classmethod
+    def join(cls, parts: Sequence[Observation]) -> Observation:
+        """Return what the same V vehicles heard in several ways, one after the other."""
+        heard = np.concatenate([part.heard for part in parts], axis=1)
+        vehicle, row = np.nonzero(heard)
+        return cls.tabulate(vehicle, {
+            name: np.concatenate([getattr(part, name) for part in parts], axis=1)[vehicle, row]
+            for name in _ROW_FIELDS
+        }, len(heard), parts[0].position.shape[2], parts[0].stamp)
 
     @property
     def heard(self) -> Array:

@@ -7,8 +7,9 @@ what anchors really transmitted.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
@@ -24,7 +25,8 @@ from tsmcl_ros.model.mobility import (
     wrap,
 )
 from tsmcl_ros.model.radio import Channel, RadioConfig
-from tsmcl_ros.types import Array, ConfigError, Observation
+from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
+from tsmcl_ros.types import Array, ConfigError, Observation, PADDED
 
 # Each is made from its config, the number of vehicles, and a random generator of its own.
 MOBILITY: dict[str, tuple[type[Config], Callable[[Any, int, np.random.Generator], Mobility]]] = {
@@ -81,7 +83,8 @@ class AnchorConfig(Config):
 
 # All that `make_world` reads its settings into.
 CONFIGS: tuple[type[Config], ...] = (
-    WorldConfig, AnchorConfig, RadioConfig, *(config for config, _ in MOBILITY.values()),
+    WorldConfig, AnchorConfig, RadioConfig, RelayConfig,
+    *(config for config, _ in MOBILITY.values()),
 )
 
 
@@ -119,8 +122,8 @@ class World:
     """
     Vehicles under way among anchors, from one beacon period to the next.
 
-    Movement, odometry and radio draw from generators of their own: a seed gives the same ways
-    and the same odometry whatever the radio does.
+    Movement, odometry, the radio of anchors and that of vehicles draw from generators of their
+    own: a seed gives the same ways, odometry, and beacons of anchors whatever the others do.
 
     Parameters
     ----------
@@ -133,6 +136,8 @@ class World:
     rng : numpy.random.Generator
     stamp : float
         The time now [s]; the first epoch is one period later.
+    relaying : RelayConfig, optional
+        What vehicles transmit themselves.
     """
 
     def __init__(
@@ -143,17 +148,21 @@ class World:
         anchors: Observation,
         rng: np.random.Generator,
         stamp: float = 0.0,
+        relaying: RelayConfig | None = None,
     ) -> None:
         self.mobility = mobility
         self.anchors = anchors
         self._config = config
         self._channel = channel
-        odometry_rng, self._radio_rng = rng.spawn(2)
+        self._relaying = relaying or RelayConfig()
+        odometry_rng, self._radio_rng, self._peer_rng = rng.spawn(3)
         self._odometry = WheelOdometry(config, mobility.state, odometry_rng)
+        self._odometry_since = deque(
+            [self._odometry.position], math.ceil(self._relaying.pose_max_age) + 1)
         self._begin = stamp
         self._periods = 0
 
-    def step(self, senders: Observation | None = None) -> Epoch:
+    def step(self, senders: Observation | None = None, poses: Poses | None = None) -> Epoch:
         """
         Let one beacon period pass.
 
@@ -161,6 +170,10 @@ class World:
         ----------
         senders : Observation or None
             V = 1: what was transmitted in this period, if not what all anchors do.
+        poses : Poses or None
+            Where the vehicles last took themselves to be, which they broadcast: from where they
+            truly are, if it is not too old, and known to the radio range at least. None if they
+            keep it to themselves.
 
         Returns
         -------
@@ -171,17 +184,74 @@ class World:
         LogError
             If the vehicles replay a trace and it has ended.
         ConfigError
-            If the channel has no radio range.
+            If the channel has no radio range, or an anchor has the identity of a vehicle.
         """
         truth = self.mobility.step(self._config.beacon_period)
         self._periods += 1
         stamp = self._begin + self._periods * self._config.beacon_period
         odom_position, odom_yaw = self._odometry.step(truth)
-        observation = receive(
-            self._channel, truth.position, self.anchors if senders is None else senders,
-            self._radio_rng, stamp, self._config.drop_rate)
+        self._odometry_since.append(odom_position)
+        senders = self.anchors if senders is None else senders
+        observation = receive(self._channel, truth.position, senders, self._radio_rng, stamp,
+                              self._config.drop_rate)
+        if poses is not None or self._relaying.relay_hops > 1:
+            self._relaying.refuse_anchors(senders, len(truth.yaw))
+            observation = self._exchange(observation, truth.position, poses)
         return Epoch(stamp, truth.position, truth.velocity, truth.yaw, odom_position, odom_yaw,
                      observation)
+
+    def _exchange(self, heard: Observation, position: Array, poses: Poses | None) -> Observation:
+        """Add what the vehicles at these positions (V, D) [m] hear of each other."""
+        vehicles, dimension = position.shape
+        now = Poses.unknown(vehicles, dimension) if poses is None else self._up_to_date(
+            poses, heard.stamp)
+        beacons = vehicle_beacons(self._relaying, now)
+        # Who is lost is a neighbour too, but says nothing of where it is.
+        neighbours = receive(
+            self._channel, position, beacons, self._peer_rng, heard.stamp, self._config.drop_rate,
+            np.arange(vehicles))
+        index = np.where(neighbours.heard, neighbours.sender - beacons.sender[0, 0], PADDED)
+        placed = neighbours.heard & now.within(self._channel.radio_range)[index]
+        parts = [heard, replace(neighbours, sender=np.where(placed, neighbours.sender, PADDED))]
+        if self._relaying.relay_hops > 1:
+            parts.append(relay(heard, index, self._channel.radio_range))
+        return Observation.join(parts)
+
+    def _up_to_date(self, poses: Poses, stamp: float) -> Poses:
+        """
+        Return the poses as of now [s], without those that are too old.
+
+        A pose is a period old when it is broadcast, as it was made from the last beacons. Where
+        the odometry frame has the map's orientation it is moved by the vehicle's odometry since,
+        and its covariance grows by what that errs: the noise, and by the way driven the scale
+        noise and the heading drift since the start. Else it stays, and its covariance grows as
+        if the vehicle were anywhere within `pose_max_speed` times its age.
+        """
+        config, dimension = self._config, poses.mean.shape[1]
+        age = (stamp - poses.stamp) / config.beacon_period
+        usable = (age > -1e-6) & (age < self._relaying.pose_max_age + 1e-6)
+        age = np.where(usable, np.maximum(age, 0), 0)
+        if config.odom_heading == 'known':
+            displacement = self._way(age)
+            drift = config.odom_scale_noise ** 2 + config.odom_yaw_noise ** 2 * self._periods
+            variance = (config.odom_noise ** 2 * age
+                        + drift * np.square(displacement).sum(axis=1))
+        else:
+            displacement = np.zeros_like(poses.mean)
+            reach = self._relaying.pose_max_speed * config.beacon_period * age
+            variance = reach ** 2 / (dimension + 2)
+        variance = np.where(usable, variance, np.nan)
+        return poses.moved(displacement, variance)
+
+    def _way(self, age: Array) -> Array:
+        """Return the displacement (V, D) [m] that odometry tells of the last so many periods."""
+        ways = np.stack(self._odometry_since)
+        last, vehicle = len(ways) - 1, np.arange(len(age))
+        before = np.maximum(last - age, 0)
+        low = np.floor(before).astype(int)
+        share = (before - low)[:, None]
+        then = (1 - share) * ways[low, vehicle] + share * ways[np.minimum(low + 1, last), vehicle]
+        return np.asarray(ways[last] - then)
 
 
 class WheelOdometry:
@@ -233,6 +303,7 @@ def receive(
     rng: np.random.Generator,
     stamp: float,
     drop_rate: float = 0.0,
+    carrier: Array | None = None,
 ) -> Observation:
     """
     Return what vehicles hear of what was transmitted.
@@ -244,14 +315,17 @@ def receive(
     position : (V, D) float
         Where the vehicles are [m].
     senders : Observation
-        V = 1: the transmitted rows; each is sent from the position that it claims, of which
-        the first D coordinates count.
+        V = 1: the K transmitted rows; each is sent from the position that it claims, of which
+        the first D coordinates count, unless a vehicle is its carrier.
     rng : numpy.random.Generator
         For what the channel and losses draw.
     stamp : float
         Reception time [s].
     drop_rate : float
         Share of beacons lost however near they are.
+    carrier : (K,) int or None
+        The vehicle that sends each row: from where it truly is, whatever it claims, and it does
+        not hear itself. None if no row is sent by one of the vehicles.
 
     Returns
     -------
@@ -266,22 +340,22 @@ def receive(
     """
     vehicles, dimension = position.shape
     sent = senders.vehicle(0).project(dimension)
-    vehicle, sender, distance = _within(channel.reach, position, sent.position[0])
+    place = sent.position[0] if carrier is None else position[carrier]
+    vehicle, sender, distance = _within(channel.reach, position, place)
+    if carrier is not None:
+        other = carrier[sender] != vehicle
+        vehicle, sender, distance = vehicle[other], sender[other], distance[other]
     measured = channel.hear(distance[None], rng, sent.sender[:, sender])
     mask = measured.mask[0]
     if drop_rate > 0:
         mask = mask & (rng.random(mask.shape) >= drop_rate)
-    count = np.bincount(vehicle[mask], minlength=vehicles)
-    sender = sender[mask]
-    received = Observation.empty(vehicles, int(count.max(initial=0)), dimension, stamp)
-    # Pairs are sorted by vehicle, so they fill the table's rows in its own order.
-    rows = np.arange(received.sender.shape[1]) < count[:, None]
-    for name in ('sender', 'kind', 'hops', 'position', 'covariance'):
-        getattr(received, name)[rows] = getattr(sent, name)[0].take(sender, axis=0)
-    for name in ('range', 'range_std', 'rssi'):
-        getattr(received, name)[rows] = getattr(measured, name)[0, mask]
-    received.max_range[rows] = channel.radio_range
-    return received
+    vehicle, sender = vehicle[mask], sender[mask]
+    return Observation.tabulate(vehicle, {
+        'max_range': np.full(len(vehicle), channel.radio_range),
+        **{name: getattr(sent, name)[0].take(sender, axis=0)
+           for name in ('sender', 'kind', 'hops', 'position', 'covariance')},
+        **{name: getattr(measured, name)[0, mask] for name in ('range', 'range_std', 'rssi')},
+    }, vehicles, dimension, stamp)
 
 
 def anchor_table(position: Array, identity: Array | None = None) -> Observation:
@@ -361,7 +435,8 @@ def make_world(settings: Mapping[str, Any], rng: np.random.Generator) -> World:
     dimension = mobility.state.position.shape[1]
     anchors = anchor_table(lay_out(build(AnchorConfig, settings), dimension, anchor_rng))
     channel = Channel(build(RadioConfig, settings))
-    return World(build(WorldConfig, settings), channel, mobility, anchors, rng)
+    return World(build(WorldConfig, settings), channel, mobility, anchors, rng,
+                 relaying=build(RelayConfig, settings))
 
 
 def _within(reach: float, vehicles: Array, senders: Array) -> tuple[Array, Array, Array]:
