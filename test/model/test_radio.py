@@ -175,6 +175,35 @@ def test_measurements_are_scored_with_the_noise_that_they_are_simulated_with(
     assert stats.kstest(-2 * scores[:, 0], stats.chi2(1).cdf).pvalue > SIGNIFICANCE
 
 
+def test_asymmetric_ranges_err_by_the_published_law() -> None:
+    radio = channel({'measure_range': True, 'range_noise': 'asymmetric_exponential'})
+    heard = radio.hear(np.full((1, MANY), 60.0), rng())
+    error = 60.0 - heard.range[0]
+    short, long = 0.058 * 60.0 + 0.01, 0.19 * 60.0 + 0.21
+
+    def cdf(e: np.ndarray) -> np.ndarray:
+        return np.where(e <= 0, long * np.exp(np.minimum(e, 0) / long),
+                        short + long - short * np.exp(-np.maximum(e, 0) / short)) / (short + long)
+
+    assert stats.kstest(error, cdf).pvalue > SIGNIFICANCE
+    # Ranges are long rather than short: e is true minus measured.
+    assert error.mean() == pytest.approx(short - long, abs=0.5)
+    indicated = heard.range[0]
+    np.testing.assert_allclose(
+        heard.range_std[0], np.hypot(0.058 * indicated + 0.01, 0.19 * indicated + 0.21), rtol=1e-5)
+
+
+@pytest.mark.parametrize('distance', [10.0, 35.0, 50.0, 55.0, 80.0])
+def test_an_asymmetric_range_is_scored_with_the_scales_of_what_was_measured(
+        distance: float) -> None:
+    radio = channel({'range_noise': 'asymmetric_exponential', 'range_scale': 1.1,
+                     'range_bias': 5.0}, use_heard=False)
+    error = distance - 50.0
+    expected = -error / (0.058 * 50.0 + 0.01) if error > 0 else error / (0.19 * 50.0 + 0.21)
+    assert likelihood(radio, listen(ORIGIN, range=60.0), at(distance))[0] == pytest.approx(
+        expected, rel=1e-4, abs=1e-5)
+
+
 def test_an_anchor_with_a_path_loss_of_its_own_is_heard_and_scored_by_it() -> None:
     radio = channel({**SHADOWED, 'anchor_path_loss': ('7 -50 2 4', '9 -30 3 8')})
     rest, seven, nine = (
@@ -442,29 +471,39 @@ def test_an_rssi_s_noise_widens_as_the_average_over_the_reference_s_position() -
         expected - expected[5], atol=0.1)
 
 
-@pytest.mark.parametrize('radio', [{}, SHADOWED])
-@pytest.mark.parametrize('fields', [{}, {'range': 95.0, 'range_std': 1.0}, {'rssi': -95.0}])
-def test_only_the_variance_along_the_line_of_sight_counts(
-        radio: dict[str, Any], fields: dict[str, float]) -> None:
-    east, north = 0.0, math.pi / 2
-    exact = listen(ORIGIN, **fields)
-    for direction, spread in ((east, (0.0, 9.0)), (north, (9.0, 0.0))):
-        np.testing.assert_allclose(
-            likelihood(channel(radio), uncertain(*spread, **fields), at(103.0, direction)),
-            likelihood(channel(radio), exact, at(103.0, direction)), rtol=1e-3)
-        assert (likelihood(channel(radio), uncertain(*spread[::-1], **fields),
-                           at(103.0, direction)) > likelihood(
-                               channel(radio), exact, at(103.0, direction)) + 5e-4).all()
+ASYMMETRIC = {'range_noise': 'asymmetric_exponential'}
+AROUND = np.concatenate([at(distance, direction)[0] for distance in (12.0, 20.0, 26.0)
+                         for direction in (0.0, 0.8, math.pi / 2)])[None]
 
 
-def test_correlated_variance_counts_along_its_diagonal() -> None:
-    covariance = np.array([[8.0, 8.0], [8.0, 8.0]])
-    observation = listen(ORIGIN, covariance=covariance, range=50.0, range_std=3.0)
-    radio = channel({'radio_range': 0.0})
-    half = pytest.approx(-0.5, rel=1e-4)  # float32
-    # Along (1, 1) the variance is 9 + 16, across it 9.
-    assert likelihood(radio, observation, at(55.0, math.pi / 4))[0] == half
-    assert likelihood(radio, observation, at(53.0, -math.pi / 4))[0] == half
+@pytest.mark.parametrize('covariance', [
+    [[25.0, 0.0], [0.0, 1.0]], [[25.0, 12.0], [12.0, 9.0]], [[100.0, 0.0], [0.0, 100.0]]])
+@pytest.mark.parametrize(('radio', 'fields', 'points'), [
+    ({}, {'range': 20.0, 'range_std': 2.0}, AROUND),
+    (ASYMMETRIC, {'range': 20.0}, AROUND),
+    (SHADOWED, {'rssi': -90.0}, 5 * AROUND),
+])
+def test_positions_compare_as_averaged_over_where_an_uncertain_reference_may_be(
+        radio: dict[str, Any], fields: dict[str, float], points: np.ndarray,
+        covariance: list[list[float]]) -> None:
+    observation = listen(ORIGIN, covariance=covariance, **fields)
+    expected = np.log(marginal(channel(radio, use_heard=False), observation, points))
+    scored = likelihood(channel(radio, use_heard=False), observation, points)
+    likely = expected > expected.max() - 2.0
+    # Second order in the reference's offset, which is nearly as large as the distance here.
+    np.testing.assert_allclose((scored - expected)[likely],
+                               (scored - expected)[expected.argmax()], atol=0.4)
+    # Relative to a peak that no position exceeds.
+    assert -1.0 < scored.max() <= 0.0
+
+
+def test_a_heard_beacon_s_uncertain_disk_needs_no_normalizer() -> None:
+    # Whether a beacon is heard is a probability already: averaging it only widens the edge.
+    observation = uncertain(9.0, 1.0)
+    for direction in (0.0, math.pi / 2):
+        points = at(NEAR_EDGE, direction)
+        np.testing.assert_allclose(np.exp(likelihood(channel(), observation, points)),
+                                   marginal(channel(), observation, points), atol=0.02)
 
 
 # Many vehicles, padding, flat lists
@@ -475,6 +514,7 @@ def some_evidence(model: str, seed: int, covariance: bool, dimension: int = 2,
     """Three vehicles, of which the last heard nothing, with all kinds of evidence and padding."""
     draw = rng(seed)
     radio = channel({'radio_model': model, 'edge_softness': 20.0,
+                     'range_noise': str(draw.choice(['gaussian', 'asymmetric_exponential'])),
                      'anchor_path_loss': ('2 -50 1.5 3', '7 -30 3 6')},
                     outlier_fraction=float(draw.choice([0.0, 0.1])))
     observation = Observation.empty(3, 5, dimension, 1.0)
@@ -596,6 +636,8 @@ def outside(evidence: Evidence, count: int = 4000) -> np.ndarray:
     ({'radio_range': 0.0, 'range_scale': 1.07, 'range_bias': 5.0},
      listen(ORIGIN, (50.0, 50.0), range=[60.0, 40.0], range_std=3.0)),
     ({}, listen((0.0, 0.0, 0.0), (120.0, 0.0, 30.0), range=[60.0, 80.0], range_std=3.0)),
+    ({'radio_range': 0.0, 'range_noise': 'asymmetric_exponential'},
+     listen(ORIGIN, (50.0, 50.0), range=[60.0, 40.0])),
     (SHADOWED, listen(ORIGIN, (50.0, 50.0))),
     (SHADOWED, listen(ORIGIN, (50.0, 50.0), rssi=[-80.0, -70.0])),
     ({}, listen(ORIGIN, (120.0, 0.0), range=[60.0, 80.0], range_std=3.0,
@@ -657,6 +699,12 @@ def test_calibration_learns_the_scale_of_ranges() -> None:
     score = likelihood(radio, listen(ORIGIN, range=53.5, range_std=0.5), at([50.0, 53.5]))
     assert score[0] > -0.5
     assert score[1] < -10.0
+
+
+def test_calibration_learns_nothing_from_asymmetric_errors() -> None:
+    radio = channel({'range_noise': 'asymmetric_exponential'}, range_calibration='online')
+    ranged_epochs(radio.calibrate)
+    assert radio.calibration.scale == 1.0
 
 
 def test_calibration_that_is_off_learns_nothing() -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -20,7 +20,13 @@ from tsmcl_ros.types import Array
 
 
 class Factor(Protocol):
-    """One kind of evidence of V vehicles, E references each (padded ones score 0)."""
+    """
+    One kind of evidence of V vehicles, E references each (padded ones score 0).
+
+    `measures` tells measurements from who was heard and who was silent.
+    """
+
+    measures: ClassVar[bool]
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): the sum over references at points (V, P, D) [m]."""
@@ -40,25 +46,33 @@ class References:
         [m].
     covariance : (D, D, V, E, 1) float32 or None
         [m^2]; None if all are exactly known.
+    least : (V, E, 1) float32 or None
+        The smallest variance along any line of sight [m^2].
     """
 
     position: Array
     covariance: Array | None
+    least: Array | None
 
     @classmethod
     def lay_out(cls, position: Array, covariance: Array) -> References:
         """Lay out positions (V, E, D) and covariances (V, E, D, D) against points."""
-        return cls(
-            np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None],
-            np.moveaxis(covariance, (2, 3), (0, 1))[..., None] if covariance.any() else None,
-        )
+        position = np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None]
+        if not covariance.any():
+            return cls(position, None, None)
+        # A hair less, so that rounding cannot find a direction with less variance.
+        least = np.maximum(0.999 * np.linalg.eigvalsh(covariance)[:, :, :1], 0)
+        return cls(position, np.moveaxis(covariance, (2, 3), (0, 1))[..., None],
+                   least.astype(np.float32))
 
     def distance(self, points: Array) -> tuple[Array, Array | None]:
         """
-        Return the distances (V, E, P) [m] of points (V, P, D), and what is uncertain of them.
+        Return the mean distances (V, E, P) [m] of points (V, P, D), and what is uncertain of them.
 
-        The second value is the references' variance along the line of sight (V, E, P) [m^2],
-        u^T S u, or None if all are exactly known.
+        The second value is their variance (V, E, P) [m^2], or None if all references are exactly
+        known. Along the line of sight a reference's variance is u^T S u; what it has across, a,
+        makes distances sqrt(d^2 + a) on average, to second order, and spreads them by
+        a^2 / (2 d^2).
         """
         delta = [points[:, None, :, axis] - position
                  for axis, position in enumerate(self.position)]
@@ -71,17 +85,24 @@ class References:
             delta[i] * delta[j] * self.covariance[i, j]
             for i in range(len(delta)) for j in range(len(delta))
         )
-        return np.sqrt(squared), variance / np.maximum(squared, np.float32(1e-6))
+        variance /= np.maximum(squared, np.float32(1e-6))
+        across = sum(self.covariance[i, i] for i in range(len(delta))) - variance
+        across = np.maximum(across, 0)
+        squared += across
+        # In three dimensions it is spread over two directions.
+        spread = across * across / (2 * (len(delta) - 1) * np.maximum(squared, np.float32(1e-6)))
+        return np.sqrt(squared, out=squared), variance + spread
 
     def at(self, vehicle: Array) -> References:
         """Return the references for a flat list of points of the vehicles (M,)."""
         return References(
-            _flat(self.position, vehicle),
-            None if self.covariance is None else _flat(self.covariance, vehicle),
+            flat(self.position, vehicle),
+            None if self.covariance is None else flat(self.covariance, vehicle),
+            None if self.least is None else flat(self.least, vehicle),
         )
 
 
-def _flat(column: Array, vehicle: Array) -> Array:
+def flat(column: Array, vehicle: Array) -> Array:
     """Lay out columns (..., V, E, 1) for a flat list of points of M vehicles: (..., 1, E, M)."""
     return np.swapaxes(column[..., 0].take(vehicle, axis=-2), -1, -2)[..., None, :, :]
 
@@ -94,6 +115,8 @@ class DiskBoundary:
     log p = -log(1 + exp(side (d - R) / s)), with side 1 for heard and -1 for silent; a relayed
     beacon (R < d <= 2R) is one of each. Columns are (V, E, 1).
     """
+
+    measures: ClassVar[bool] = False
 
     references: References
     radius: Array
@@ -114,7 +137,7 @@ class DiskBoundary:
     def at(self, vehicle: Array) -> DiskBoundary:
         """Return the factor for a flat list of points: see `Factor`."""
         return DiskBoundary(self.references.at(vehicle), *(
-            _flat(column, vehicle) for column in (self.radius, self.softness, self.side)))
+            flat(column, vehicle) for column in (self.radius, self.softness, self.side)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +148,8 @@ class ShadowedBoundary:
     p = Phi(side 10 n log10(R / d) / sigma_db), with R where the mean rssi meets the sensitivity.
     Columns are (V, E, 1).
     """
+
+    measures: ClassVar[bool] = False
 
     references: References
     radius: Array
@@ -143,7 +168,7 @@ class ShadowedBoundary:
     def at(self, vehicle: Array) -> ShadowedBoundary:
         """Return the factor for a flat list of points: see `Factor`."""
         return ShadowedBoundary(self.references.at(vehicle), *(
-            _flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
+            flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +179,8 @@ class Power:
     Equivalently log-normal in distance, so near references weigh more. Columns are (V, E, 1);
     `weight` is 0 where padded.
     """
+
+    measures: ClassVar[bool] = True
 
     references: References
     excess: Array
@@ -168,46 +195,16 @@ class Power:
         residual = self.excess + self.slope * np.log10(distance)
         squared = residual * residual
         if variance is not None:
-            squared = squared / _power_variance(self.slope, variance, distance)
-        return _heavy_tailed(self.weight * squared, self.floor).sum(axis=1)
+            widened = _power_variance(self.slope, variance, distance)
+            squared = squared / widened + np.log(widened)
+        return heavy_tailed(np.float32(-0.5) * self.weight * squared, self.floor).sum(axis=1)
 
     def at(self, vehicle: Array) -> Power:
         """Return the factor for a flat list of points: see `Factor`."""
         return replace(
             self, references=self.references.at(vehicle),
-            excess=_flat(self.excess, vehicle), weight=_flat(self.weight, vehicle),
-            slope=_flat(self.slope, vehicle))
-
-
-@dataclass(frozen=True, eq=False)
-class Ranging:
-    """
-    Measured ranges around scale * distance + bias, Gaussian, with a uniform floor.
-
-    Columns are (V, E, 1); `precision` [1/m^2] is 0 where padded.
-    """
-
-    references: References
-    measured: Array
-    precision: Array
-    scale: float
-    bias: float
-    floor: float
-
-    def log_likelihood(self, points: Array) -> Array:
-        """Return (V, P): see `Factor`."""
-        distance, variance = self.references.distance(points)
-        residual = self.measured - self.bias - self.scale * distance
-        precision = self.precision
-        if variance is not None:
-            precision = precision / (1 + precision * self.scale ** 2 * variance)
-        return _heavy_tailed(precision * residual * residual, self.floor).sum(axis=1)
-
-    def at(self, vehicle: Array) -> Ranging:
-        """Return the factor for a flat list of points: see `Factor`."""
-        return replace(
-            self, references=self.references.at(vehicle),
-            measured=_flat(self.measured, vehicle), precision=_flat(self.precision, vehicle))
+            excess=flat(self.excess, vehicle), weight=flat(self.weight, vehicle),
+            slope=flat(self.slope, vehicle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,21 +249,20 @@ class Evidence:
     def presence(self) -> Evidence:
         """Only who was heard and who was silent."""
         return replace(self, factors=tuple(
-            factor for factor in self.factors
-            if isinstance(factor, (DiskBoundary, ShadowedBoundary))))
+            factor for factor in self.factors if not factor.measures))
 
     @property
     def measured(self) -> Evidence:
         """Only what was measured: ranges and rssi."""
         return replace(self, factors=tuple(
-            factor for factor in self.factors if isinstance(factor, (Ranging, Power))))
+            factor for factor in self.factors if factor.measures))
 
     def log_likelihood_of(self, points: Array, vehicle: Array) -> Array:
         """Return (M,) float32 of a flat list of points (M, D) [m] of the vehicles (M,)."""
         total = np.zeros(len(points), np.float32)
         for factor in self.factors:
-            flat = factor if len(self.heard) == 1 else factor.at(vehicle)
-            total += flat.log_likelihood(points[None])[0]
+            listed = factor if len(self.heard) == 1 else factor.at(vehicle)
+            total += listed.log_likelihood(points[None])[0]
         return total
 
 
@@ -297,9 +293,8 @@ def _softplus(x: Array) -> Array:
     return x
 
 
-def _heavy_tailed(squared: Array, floor: float) -> Array:
-    """Return log((1 - floor) exp(-squared / 2) + floor) for the squared normalized residual."""
+def heavy_tailed(score: Array, floor: float) -> Array:
+    """Return log((1 - floor) exp(score) + floor) for log-likelihoods of inliers."""
     if floor == 0:
-        return np.float32(-0.5) * squared
-    return np.log((1 - np.float32(floor)) * np.exp(np.float32(-0.5) * squared)
-                  + np.float32(floor))
+        return score
+    return np.log((1 - np.float32(floor)) * np.exp(score) + np.float32(floor))

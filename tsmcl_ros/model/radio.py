@@ -14,11 +14,17 @@ from tsmcl_ros.model.evidence import (
     Evidence,
     Factor,
     Power,
-    Ranging,
     References,
     ShadowedBoundary,
 )
 from tsmcl_ros.model.geometry import intersect_boxes
+from tsmcl_ros.model.ranging import (
+    AsymmetricErrors,
+    draw_asymmetric,
+    GaussianErrors,
+    RangeErrors,
+    Ranging,
+)
 from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
 
 
@@ -48,6 +54,20 @@ class RadioConfig(Config):
     range_scale: float = param(1.0, 'see range_bias', above=0.0)
     range_std: float = param(
         2.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0)
+    range_noise: str = param(
+        'gaussian', 'noise of ranges: normal with range_std, or asymmetric as range_short and '
+        'range_long say, whatever ranges tell of theirs',
+        choices=('gaussian', 'asymmetric_exponential'))
+    range_short_slope: float = param(
+        0.058, 'by how much ranges are too short where they are so, on average, per range',
+        unit='m/m', low=0.0, high=1.0)
+    range_short_offset: float = param(
+        0.01, 'what comes to it at any range', unit='m', above=0.0)
+    range_long_slope: float = param(
+        0.19, 'by how much ranges are too long where they are so, on average, per range',
+        unit='m/m', low=0.0, high=1.0)
+    range_long_offset: float = param(
+        0.21, 'what comes to it at any range', unit='m', above=0.0)
     measure_range: bool = param(False, 'the simulated radio measures ranges')
     measure_rssi: bool = param(False, 'the simulated radio measures rssi')
 
@@ -235,10 +255,9 @@ class Channel:
             mask = rssi >= radio.sensitivity
         measured, std = unmeasured, unmeasured
         if radio.measure_range:
-            noise = radio.range_std * rng.standard_normal(distance.shape)
-            measured = np.maximum(radio.range_scale * distance + radio.range_bias + noise, 0)
-            measured = np.where(mask, measured, np.nan).astype(np.float32)
-            std = np.where(mask, radio.range_std, np.nan).astype(np.float32)
+            ranges = self._measure(distance, rng)
+            measured = np.where(mask, ranges, np.nan).astype(np.float32)
+            std = np.where(mask, self._std_of(ranges), np.nan).astype(np.float32)
         if radio.measure_rssi:
             rssi = np.where(mask, rssi, np.nan).astype(np.float32)
         else:
@@ -293,7 +312,8 @@ class Channel:
 
         Vehicles that take most of their ranges for outliers are lost, and teach nothing.
         """
-        if self.switches.range_calibration == 'off':
+        if self.switches.range_calibration == 'off' or self._asymmetric:
+            # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
             return
         std = self._range_std(observation)
         if self._floor > 0:
@@ -302,10 +322,42 @@ class Channel:
             std = np.where(lost[:, None], np.inf, std)
         self.calibration.learn(observation, estimate, std)
 
+    def _measure(self, distance: Array, rng: np.random.Generator) -> Array:
+        """Return what ranges say (V, A) [m] at these distances, never below 0."""
+        radio = self.radio
+        if self._asymmetric:
+            short, long = self._asymmetry(distance)
+            indicated = distance - draw_asymmetric(short, long, distance.shape, rng)
+            return np.maximum(radio.range_scale * indicated + radio.range_bias, 0)
+        noise = radio.range_std * rng.standard_normal(distance.shape)
+        return np.maximum(radio.range_scale * distance + radio.range_bias + noise, 0)
+
+    @property
+    def _asymmetric(self) -> bool:
+        return self.radio.range_noise == 'asymmetric_exponential'
+
+    def _asymmetry(self, distance: Array) -> tuple[Array, Array]:
+        """Return by how much ranges of this distance [m] are too short and too long [m]."""
+        radio = self.radio
+        return (radio.range_short_slope * distance + radio.range_short_offset,
+                radio.range_long_slope * distance + radio.range_long_offset)
+
+    def _indicated(self, ranges: Array) -> Array:
+        """Return the distances [m] that measured ranges stand for, never below 0."""
+        return np.maximum((ranges - self.calibration.bias) / self.calibration.scale, 0)
+
+    def _std_of(self, ranges: Array) -> Array | float:
+        """Return the standard deviation [m] of ranges, where they do not tell theirs."""
+        if not self._asymmetric:
+            return self.radio.range_std
+        return self.calibration.scale * np.hypot(*self._asymmetry(self._indicated(ranges)))
+
     def _range_std(self, observation: Observation) -> Array:
         """Return the standard deviation (V, K) [m] of each range."""
-        return np.where(np.isnan(observation.range_std), np.float32(self.radio.range_std),
-                        observation.range_std)
+        ranges, told = observation.range, observation.range_std
+        if self._asymmetric:
+            return np.asarray(self._std_of(ranges))
+        return np.where(np.isnan(told), np.float32(self.radio.range_std), told)
 
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
@@ -322,11 +374,18 @@ class Channel:
 
     def _ranging(self, references: References, observation: Observation, ranged: Array
                  ) -> Ranging:
-        std = self._range_std(observation)
-        return Ranging(
-            references, measured=column(np.where(ranged, observation.range, 0)),
-            precision=column(np.where(ranged, 1 / np.maximum(std, 1e-3) ** 2, 0)),
-            scale=self.calibration.scale, bias=self.calibration.bias, floor=self._floor)
+        ranges = np.where(ranged, observation.range, 0)
+        errors: RangeErrors
+        if self._asymmetric:
+            indicated = self._indicated(ranges)
+            errors = AsymmetricErrors(*(column(np.where(ranged, scale, np.inf))
+                                        for scale in self._asymmetry(indicated)))
+        else:
+            # Not cut at 0: a normal error reaches below.
+            indicated = (ranges - self.calibration.bias) / self.calibration.scale
+            std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
+            errors = GaussianErrors(column(np.where(ranged, std, np.inf)))
+        return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
     def _boundary(self, observation: Observation, bounded: Array, radius: Array, heard: Array
                   ) -> DiskBoundary | ShadowedBoundary | None:

@@ -1,0 +1,205 @@
+"""
+Measured ranges: how they err, and how likely they make positions.
+
+An error is true minus indicated distance, e = d - r [m]; indicated is what is measured, less its
+bias and scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+from typing import ClassVar, Protocol
+
+import numpy as np
+from scipy.special import erfcx
+from tsmcl_ros.model.evidence import flat, heavy_tailed, References
+from tsmcl_ros.types import Array
+
+
+class RangeErrors(Protocol):
+    """The error law of V vehicles' ranges to E references each, in columns (V, E, 1)."""
+
+    def log_density(self, error: Array, variance: Array | None) -> Array:
+        """
+        Return ln p(e) (V, E, P), e in m, relative to 1 / m.
+
+        Parameters
+        ----------
+        error : (V, E, P) float32
+            [m].
+        variance : (V, E, P) float32 or None
+            Of the true distance [m^2], as the reference's position is uncertain.
+        """
+
+    def bound(self, least: Array | None) -> Array:
+        """Return what ln p cannot exceed (V, E, 1), where the variance is at least this."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Return errors (V, E, count) [m]; zero where padded."""
+
+    def at(self, vehicle: Array) -> RangeErrors:
+        """Return the law for a flat list of points of the vehicles (M,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianErrors:
+    """
+    Normal errors.
+
+    Attributes
+    ----------
+    std : (V, E, 1) float32
+        [m], inf where padded.
+    """
+
+    std: Array
+
+    def log_density(self, error: Array, variance: Array | None) -> Array:
+        """Return ln p(e): see `RangeErrors`."""
+        precision = self._precision
+        if variance is None:
+            return np.asarray(np.float32(-0.5) * precision * error * error + self.bound(None))
+        widened = 1 + precision * variance
+        squared = precision * error * error / widened
+        return np.asarray(np.float32(-0.5) * (squared + np.log(widened)) + self.bound(None))
+
+    def bound(self, least: Array | None) -> Array:
+        """Return the most that ln p can be: see `RangeErrors`."""
+        widened = 0 if least is None else np.log1p(self._precision * least)
+        known = np.where(np.isfinite(self.std), self.std, 1)
+        return np.asarray(-np.log(math.sqrt(2 * math.pi) * known) - widened / 2, np.float32)
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Return errors: see `RangeErrors`."""
+        std = np.where(np.isfinite(self.std), self.std, 0)
+        return std * rng.standard_normal((*std.shape[:2], count), np.float32)
+
+    def at(self, vehicle: Array) -> GaussianErrors:
+        """Return the law for a flat list of points: see `RangeErrors`."""
+        return GaussianErrors(flat(self.std, vehicle))
+
+    @property
+    def _precision(self) -> Array:
+        return 1 / (self.std * self.std)
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetricErrors:
+    """
+    Double exponential errors: ranges are seldom much too short, but often too long.
+
+    p(e) = exp(e / long) / (short + long) for e <= 0 and exp(-e / short) / (short + long) for
+    e > 0 (Li, Hedley, Collings 2015). An uncertain reference convolves it with a Gaussian, in
+    closed form: two exponentially modified Gaussians.
+
+    Attributes
+    ----------
+    short, long : (V, E, 1) float32
+        Mean of the errors of each sign [m], inf where padded.
+    """
+
+    short: Array
+    long: Array
+
+    def log_density(self, error: Array, variance: Array | None) -> Array:
+        """Return ln p(e): see `RangeErrors`."""
+        if variance is None:
+            decay = np.minimum(-error / self.short, error / self.long)
+            return np.asarray(decay + self.bound(None))
+        std = np.sqrt(np.maximum(variance, np.float32(1e-6)))
+        positive, negative = (_one_sided(error, std, self.short),
+                              _one_sided(-error, std, self.long))
+        peak = np.maximum(positive, negative)
+        rest = np.exp(np.minimum(positive, negative) - peak)
+        return np.asarray(peak + np.log1p(rest) + self.bound(None))
+
+    def bound(self, least: Array | None) -> Array:
+        """Return the most that ln p can be: see `RangeErrors`."""
+        total = self.short + self.long
+        peak = -np.log(np.where(np.isfinite(total), total, 1))
+        if least is None:
+            return np.asarray(peak)
+        # Neither density can be exceeded by their convolution; a padded one stays at 1.
+        gaussian = -0.5 * np.log(2 * np.pi * np.maximum(least, np.float32(1e-12)))
+        return np.where(np.isfinite(total), np.minimum(peak, gaussian), 0)
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Return errors: see `RangeErrors`."""
+        short, long = (np.where(np.isfinite(scale), scale, 0)
+                       for scale in (self.short, self.long))
+        return draw_asymmetric(short, long, (*short.shape[:2], count), rng)
+
+    def at(self, vehicle: Array) -> AsymmetricErrors:
+        """Return the law for a flat list of points: see `RangeErrors`."""
+        return AsymmetricErrors(flat(self.short, vehicle), flat(self.long, vehicle))
+
+
+@dataclass(frozen=True, eq=False)
+class Ranging:
+    """
+    Measured ranges under an error law, with a uniform floor.
+
+    Attributes
+    ----------
+    references : References
+        Measured to.
+    indicated : (V, E, 1) float32
+        Distances [m].
+    errors : RangeErrors
+        Of them.
+    used : (V, E, 1) bool
+        False where padded.
+    floor : float
+        Share of ranges that may say anything.
+    """
+
+    measures: ClassVar[bool] = True
+
+    references: References
+    indicated: Array
+    errors: RangeErrors
+    used: Array
+    floor: float
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Return (V, P): see `Factor`."""
+        return self.scores(self.log_density(points)).sum(axis=1)
+
+    def log_density(self, points: Array) -> Array:
+        """Return ln p(d - r) (V, E, P) of the distances at points (V, P, D) [m], no outliers."""
+        distance, variance = self.references.distance(points)
+        return self.errors.log_density(distance - self.indicated, variance)
+
+    def scores(self, log_density: Array) -> Array:
+        """Return log-likelihoods (V, E, P) relative to their peak, with outliers reckoned in."""
+        relative = log_density - self.errors.bound(self.references.least)
+        return heavy_tailed(np.where(self.used, np.minimum(relative, 0), 0), self.floor)
+
+    def at(self, vehicle: Array) -> Ranging:
+        """Return the factor for a flat list of points: see `Factor`."""
+        return replace(
+            self, references=self.references.at(vehicle), errors=self.errors.at(vehicle),
+            indicated=flat(self.indicated, vehicle), used=flat(self.used, vehicle))
+
+
+def draw_asymmetric(short: Array, long: Array, shape: tuple[int, ...],
+                    rng: np.random.Generator) -> Array:
+    """Return errors [m] of the law of `AsymmetricErrors`, of scales that broadcast to a shape."""
+    size = rng.standard_exponential(shape, np.float32)
+    positive = rng.random(shape, np.float32) * (short + long) < short
+    return np.where(positive, short * size, -long * size)
+
+
+def _one_sided(error: Array, std: Array, scale: Array) -> Array:
+    """
+    Return ln of the average of [e' > 0] exp(-e' / scale) over e' ~ N(error, std^2).
+
+    An exponentially modified Gaussian; `erfcx` keeps its left tail, whose factors overflow.
+    """
+    steepness = std / scale
+    ratio = error / std
+    lag = (steepness - ratio) * np.float32(math.sqrt(0.5))
+    tail = np.log(np.float32(0.5) * erfcx(np.maximum(lag, -5))) - np.float32(0.5) * ratio * ratio
+    # Far to the right the error is certain to be positive, Phi(7) of it.
+    return np.where(lag > -5, tail, steepness * (np.float32(0.5) * steepness - ratio))
