@@ -610,3 +610,84 @@ def test_memory_does_not_grow():
         tracemalloc.stop()
     # Kept, these minutes' messages would take four times that; coverage keeps notes of its own.
     assert max(used[1:]) - min(used[1:]) < 50_000
+
+
+# --- outages -----------------------------------------------------------------------------------
+
+def mowing(seconds, vehicles=1, outage=(np.inf, np.inf)):
+    """Return epochs (V vehicles) of lanes to and fro across the square, 40 m at 2 m/s."""
+    for stamp in range(seconds):
+        lane = 30 + 40 * abs((stamp / 20 + 0.3 * np.arange(vehicles)) % 2 - 1)
+        truth = np.stack([lane, np.full(vehicles, 50.0)], axis=1)
+        heard = [silence(stamp) if outage[0] < stamp < outage[1] else scan(stamp, one)
+                 for one in truth]
+        yield truth, Observation.stack(heard, float(stamp))
+
+
+def through_outage(wheels=False, **parameters):
+    """Return errors (60, 5) [m] and estimates from an outage of 60 s on, of 5 vehicles."""
+    localizer = Localizer({**SETTINGS, **parameters}, 5)
+    errors, estimates = [], []
+    for truth, observation in mowing(300, 5, outage=(239, 300)):
+        estimate = localizer.epoch(
+            observation, truth if wheels else None, np.zeros(5) if wheels else None)
+        errors.append(np.linalg.norm(estimate.mean - truth, axis=1))
+        estimates.append(estimate)
+    return np.array(errors)[240:], estimates[240:]
+
+
+def nees(errors, estimates):
+    """Return the normalized error squared (T, V) where covariances are round."""
+    variance = [np.trace(one.covariance, axis1=1, axis2=2) / 2 for one in estimates]
+    return errors ** 2 / np.array(variance)
+
+
+def test_without_odometry_an_outage_is_bridged_by_how_vehicles_used_to_move():
+    forgotten, estimates = through_outage()
+    constant, _ = through_outage(outage_predictor='none')
+
+    assert forgotten[-1].mean() < 0.5 * constant[-1].mean()
+    # Twice the dimension's 2 would take a chance of 1 in 50 for 5 independent vehicles.
+    assert nees(forgotten, estimates).mean() < 4
+    spread = np.array([np.trace(one.covariance[0]) for one in estimates])
+    assert (np.diff(spread) >= 0).all()
+
+
+def test_with_odometry_the_methods_own_prediction_stays():
+    with_one, _ = through_outage(wheels=True)
+    without, _ = through_outage(wheels=True, outage_predictor='none')
+
+    np.testing.assert_array_equal(with_one, without)
+
+
+def test_what_is_said_to_move_at_random_is_not_predicted_otherwise():
+    one, _ = through_outage(motion_model='random')
+    other, _ = through_outage(motion_model='random', outage_predictor='none')
+
+    np.testing.assert_array_equal(one, other)
+
+
+def test_the_method_is_not_touched_by_what_was_predicted():
+    ends = []
+    for predictor in ('velocity', 'none'):
+        localizer = Localizer({**SETTINGS, 'outage_predictor': predictor})
+        for _, observation in mowing(120, outage=(59, 100)):
+            estimate = localizer.epoch(observation)
+        ends.append(estimate.mean)
+    np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize('change', ['reinitialize', 'initial_pose'])
+def test_a_vehicle_that_is_placed_elsewhere_has_no_past(change):
+    predicted = []
+    for predictor in ('velocity', 'none'):
+        localizer = Localizer({**SETTINGS, 'outage_predictor': predictor})
+        for _, observation in mowing(60):
+            localizer.epoch(observation)
+        if change == 'reinitialize':
+            localizer.reinitialize(0)
+        else:
+            localizer.initial_pose(prior(10, 10))
+        localizer.epoch(scan(60.0, place(60.0)))
+        predicted.append(localizer.epoch(silence(62.0)).mean)
+    np.testing.assert_array_equal(*predicted)

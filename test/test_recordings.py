@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tsmcl_ros import csv_log
 from tsmcl_ros.config import load_yaml
+from tsmcl_ros.evaluation.metrics import nees_band
 from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join
 from tsmcl_ros.evaluation.recording import read_runs
 from tsmcl_ros.localizer import Localizer
@@ -61,6 +62,46 @@ def test_plaza1_is_tracked_to_the_end(plaza1):
     _, track, _ = plaza1
     late = track.truth.stamp > track.end - 600
     assert np.sqrt(np.mean(track.error[late] ** 2)) < 1.5
+
+
+@pytest.fixture(scope='module')
+def without_wheels(shared_data):
+    """Return a function that follows the mower without odometry, from 620 s to 1110 s."""
+    log = csv_log.read_log(shared_data / 'plaza1')
+    epochs = [epoch for epoch in log.epochs(0.5) if 620 < epoch.stamp < 1110]
+
+    def follow(predictor):
+        localizer = Localizer({'outage_predictor': predictor, 'seed': 1})
+        localizer.anchor_map(log.anchors)
+        estimates = []
+        for epoch in epochs:
+            localizer.beacons(0, epoch)
+            estimates += localizer.due()
+        stamp = np.array([one.stamp for one in estimates])
+        truth = np.stack([np.interp(stamp, log.truth.stamp, log.truth.position[:, axis])
+                          for axis in range(2)], axis=1)
+        off = np.array([one.mean[0] for one in estimates]) - truth
+        covariance = np.array([one.covariance[0] for one in estimates])
+        nees = np.einsum('ti,tij,tj->t', off, np.linalg.inv(covariance), off)
+        return stamp, np.linalg.norm(off, axis=1), nees
+
+    return follow
+
+
+def test_plaza1_without_odometry_is_not_led_astray_by_its_last_velocity(without_wheels):
+    stamp, forgotten, _ = without_wheels('velocity')
+    _, kept, _ = without_wheels('none')
+    within = (stamp > 948) & (stamp < 1043)
+    assert within.sum() == 48
+    assert forgotten[within][-1] < 0.5 * kept[within][-1]
+    assert forgotten[within].max() < 40
+
+
+def test_plaza1_without_odometry_is_honest_before_during_and_after_the_outage(without_wheels):
+    stamp, _, nees = without_wheels('velocity')
+    low, high = nees_band(2, 1)  # epochs of one outage are one sample
+    for begin, end in ((660, 947), (948, 1043), (1044, 1110)):
+        assert low < nees[(stamp > begin) & (stamp < end)].mean() < high
 
 
 # --- a walked Bluetooth tag ------------------------------------------------------------------

@@ -19,6 +19,7 @@ from tsmcl_ros.config import build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
+from tsmcl_ros.model.outage import OutagePredictor
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import (
@@ -52,6 +53,10 @@ class LocalizerConfig(Config):
         unit='s', low=0.0)
     outage_period: float = param(
         2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0)
+    outage_predictor: str = param(
+        'velocity', "what predicts a vehicle that hears nothing and has no odometry: the way its "
+        "velocity used to be kept or lost, or none, the method's own motion model",
+        choices=('velocity', 'none'))
     stale_after: float = param(
         5.0, 'call an estimate stale when no beacon was heard for this long',
         unit='s', above=0.0)
@@ -149,6 +154,7 @@ class Localizer:
         self.channel = Channel(self.radio_config, self.evidence_config)
         self._anchors.forget()
         self._odometry = OdometryBuffer(self.vehicles)
+        self._outage = OutagePredictor(self.vehicles, self.config.dimension)
         self._awaits_odometry = False
         self._method: Estimator | None = None
         self._pending: dict[float, dict[int, Observation]] = {}
@@ -233,6 +239,7 @@ class Localizer:
 
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
+        self._outage.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
 
@@ -292,13 +299,32 @@ class Localizer:
             self._method.predict(motion or Motion(stamp - self._estimate.stamp))
         for prior in self._priors:
             self._method.start(self._rotated(prior))
+            self._outage.forget(prior.vehicle)
         self._priors = []
         estimate = self._oriented(self._method.update(self._listen(observation)))
         self.channel.calibrate(observation, estimate)
+        estimate = self._through_outage(estimate, motion)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
         self._reinitializations += estimate.reinitialized
         return estimate
+
+    def _through_outage(self, estimate: Estimate, motion: Motion | None) -> Estimate:
+        """
+        Return the estimate with those vehicles predicted that hear nothing.
+
+        Odometry measures what a predictor only supposes, so where there is any the method's own
+        prediction stays; and so it does for vehicles that are said to move at random.
+        """
+        if (self.config.outage_predictor == 'none'
+                or self.motion_config.motion_model == 'random'):
+            return estimate
+        self._outage.forget(estimate.reinitialized)
+        heard = estimate.heard > 0
+        self._outage.learn(estimate, heard)
+        if motion is not None and motion.displacement is not None:
+            heard = heard | np.isfinite(motion.displacement).all(axis=1)
+        return self._outage.replace(estimate, ~heard)
 
     def _listen(self, observation: Observation) -> Observation:
         """Add the silence of the known anchors around where the vehicles may be."""
