@@ -288,6 +288,8 @@ class Estimate:
     odometry : (V, 4) float64 or None
         Odometry position [m] and yaw [rad] at the stamp, NaN where there is none; the localizer
         adds it.
+    period_factor : (V,) int or None
+        How many beacon periods each vehicle wants between two beacons; None if it does not care.
     """
 
     stamp: float
@@ -301,6 +303,7 @@ class Estimate:
     heard: Array
     reinitialized: Array
     odometry: Array | None = None
+    period_factor: Array | None = None
 
     @property
     def yaw(self) -> Array:

@@ -25,7 +25,19 @@ Repair = Callable[[Array, Array, Array, Array, Evidence], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class CloudConfig(Config):
+class RecoveryConfig(Config):
+    """When a belief has lost its vehicle."""
+
+    exclusion: float = param(
+        25.0, 'place a vehicle anew when the log-likelihood of its belief, at its best particle '
+        'if it has any, is below minus this and 0.7 a reference', above=0.0)
+    patience: int = param(
+        5, 'epochs in a row in which a belief, at its best particle if it has any, takes most '
+        'measurements for outliers, before the vehicle is placed anew', low=1)
+
+
+@dataclass(frozen=True)
+class CloudConfig(RecoveryConfig):
     """How many particles a vehicle gets, and when they are resampled or drawn anew."""
 
     min_particles: int = param(200, 'particles of a vehicle', low=2, high=1_000_000)
@@ -38,12 +50,6 @@ class CloudConfig(Config):
     jitter: float = param(
         0.05, 'noise on resampled particles, in standard deviations of the cloud, so that '
         'copies part', low=0.0, high=1.0)
-    exclusion: float = param(
-        25.0, "place a vehicle anew when its best particle's log-likelihood is below minus "
-        'this and 0.7 a reference', above=0.0)
-    patience: int = param(
-        5, 'epochs in a row in which even the best particle takes most measurements for '
-        'outliers, before the vehicle is placed anew', low=1)
 
     def check(self) -> None:
         """Hold that the first epoch has at least as many particles as the later ones."""

@@ -67,7 +67,7 @@ def multilaterate(reference: Array, distance: Array, variance: Array, used: Arra
         return Fix(np.zeros((vehicles, dimension)), np.zeros((vehicles, dimension, dimension)),
                    np.zeros(vehicles), enough)
     reference = np.where(used[:, :, None], reference, 0).astype(np.float64)
-    distance = np.where(used, distance, 0).astype(np.float64)
+    distance = np.where(used, np.maximum(distance, 0), 0).astype(np.float64)
     variance = np.where(used, variance, 1).astype(np.float64)
     weight = used / (4 * distance ** 2 * variance + 2 * variance ** 2)
     share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)

@@ -17,7 +17,7 @@ from tsmcl_ros.model.evidence import (
     References,
     ShadowedBoundary,
 )
-from tsmcl_ros.model.geometry import Reach
+from tsmcl_ros.model.geometry import intersect_boxes
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
     draw_asymmetric,
@@ -272,13 +272,12 @@ class Channel:
         the lognormal model, has a power term instead, which holds the same information. A
         vehicle that heard nothing gets no silence either: its radio may be off.
         """
-        radio, switches = self.radio, self.switches
+        switches = self.switches
         rows = observation.heard
         heard = rows.any(axis=1)
         ranged = rows & ~np.isnan(observation.range) & switches.use_range
-        powered = rows & ~np.isnan(observation.rssi) & (
-            switches.use_rssi and radio.radio_model == 'lognormal')
-        radius = self._radius(observation.max_range, observation.sender)
+        powered = self.powered(observation)
+        radius = self.radius(observation.max_range, observation.sender)
         bounded = rows & (radius > 0) & ~powered & switches.use_heard
 
         factors: list[Factor] = []
@@ -304,7 +303,32 @@ class Channel:
             terms += np.isfinite(boundary.radius).sum(axis=(1, 2))
         return Evidence(
             factors=tuple(factors), terms=np.maximum(terms, 1), floor=floor, heard=heard,
-            region=lambda: self._reach(observation, ranged, powered, bounded, radius))
+            region=lambda: self._box(observation, ranged, powered, bounded, radius))
+
+    def distances(self, observation: Observation) -> tuple[Array, Array, Array]:
+        """
+        Return what the ranges of an observation say on average, freed of all that is known.
+
+        Returns
+        -------
+        distance, std : (V, K) float
+            [m].
+        used : (V, K) bool
+            False where there is no range that counts.
+        """
+        used = observation.heard & ~np.isnan(observation.range) & self.switches.use_range
+        ranges = np.where(used, observation.range, 0)
+        distance = (ranges - self.calibration.bias) / self.calibration.scale
+        if self._asymmetric:
+            short, long = self._asymmetry(self._indicated(ranges))
+            distance = distance + short - long
+        std = np.where(used, self._range_std(observation), 1)
+        return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
+
+    def powered(self, observation: Observation) -> Array:
+        """Return the rows (V, K) bool whose rssi counts."""
+        return observation.heard & ~np.isnan(observation.rssi) & (
+            self.switches.use_rssi and self.radio.radio_model == 'lognormal')
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
         """
@@ -366,7 +390,13 @@ class Channel:
         index = np.minimum(np.searchsorted(self._identity, sender), len(self._identity) - 1)
         return self._path_loss.of(np.where(self._identity[index] == sender, index, -1))
 
-    def _radius(self, max_range: Array, sender: Array) -> Array:
+    def softness(self, radius: Array) -> Array:
+        """Return the width [m] of the soft edge of disks of these radii [m]."""
+        if self.radio.edge_softness > 0:
+            return np.full_like(radius, self.radio.edge_softness)
+        return np.float32(0.02) * radius
+
+    def radius(self, max_range: Array, sender: Array) -> Array:
         """Return the radio range [m] of each row, 0 where unknown."""
         if self.radio.radio_model == 'lognormal':
             return self.path_loss(sender).distance(self.radio.sensitivity)
@@ -397,7 +427,7 @@ class Channel:
                   (*said, relayed, radius, outside)]
         silent = observation.silent
         if silent is not None and self.switches.silence != 'none':
-            reach = self._radius(silent.max_range, silent.sender)
+            reach = self.radius(silent.max_range, silent.sender)
             exact = np.zeros((*silent.position.shape, silent.position.shape[-1]), np.float32)
             groups.append((silent.sender, silent.position, exact,
                            silent.known & (reach > 0) & heard[:, None], reach,
@@ -414,25 +444,24 @@ class Channel:
         if self.radio.radio_model == 'lognormal':
             return ShadowedBoundary(
                 references, reach, side, column(self.path_loss(sender).slope))
-        softness = np.where(np.isfinite(reach), np.float32(0.02) * reach, 1)
-        if self.radio.edge_softness > 0:
-            softness = np.full_like(reach, self.radio.edge_softness)
+        softness = self.softness(np.where(np.isfinite(reach), reach, 50))
         return DiskBoundary(references, reach, softness.astype(np.float32), side)
 
-    def _reach(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
-               radius: Array) -> Reach:
-        """Return how far from the heard references the vehicles may be, but for one in 700."""
+    def _box(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
+             radius: Array) -> Array:
+        """Return the boxes (V, 2, D) in which the heard references leave the vehicles."""
         radio = self.radio
+        reach = np.full(radius.shape, np.inf)
         edge = radius + 3 * (radio.edge_softness or 0.02 * radius)
         loss = self.path_loss(observation.sender)
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
-        presence = np.where(bounded, edge * observation.hops, np.inf)
+        reach = np.where(bounded, edge * observation.hops, reach)
         std = self._range_std(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
-        measured = np.where(ranged, np.maximum(furthest, std), np.inf)
+        reach = np.where(ranged, np.minimum(reach, np.maximum(furthest, std)), reach)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)
-        measured = np.where(powered, np.minimum(measured, by_power), measured)
+        reach = np.where(powered, by_power, reach)
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))
-        return Reach(observation.position, observation.heard, presence[:, :, None] + spread,
-                     measured[:, :, None] + spread)
+        reach = reach[:, :, None] + spread
+        return intersect_boxes(observation.position, reach, observation.heard)
