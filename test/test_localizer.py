@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from tsmcl_ros.localizer import Localizer, LOST, OK, STALE
+from tsmcl_ros.methods import METHODS
 from tsmcl_ros.types import ConfigError, Estimate, MessageError, Observation, Odometry, Prior
 
 CORNERS = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0], [100, 100, 0]], np.float32)
@@ -553,7 +554,7 @@ def test_a_reinitialized_vehicle_is_placed_anew_at_its_next_beacon():
 
 def test_an_unknown_method_lists_those_there_are():
     with pytest.raises(ConfigError, match="method: 'kalman' is not allowed, must be one of "
-                                          'ts_mcl, mcl, grid'):
+                                          + ', '.join(METHODS)):
         Localizer({'method': 'kalman'})
 
 

@@ -25,9 +25,9 @@ from tsmcl_ros.world import anchor_table, receive
 SIGNIFICANCE = 1e-3
 
 # A tabu search is no Bayesian step; without it ts_mcl is a bootstrap filter, which has a limit.
-BAYESIAN: dict[str, dict[str, Any]] = {'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'grid': {},
-                                       'ekf': {}}
-PARTICLES = ('ts_mcl', 'mcl')
+BAYESIAN: dict[str, dict[str, Any]] = {
+    'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'grid': {}, 'ekf': {}}
+PARTICLES = ('ts_mcl', 'mcl', 'mcb')
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -234,13 +234,13 @@ def random_world(method: str, silence: str, particles: int = 400) -> float:
     return math.sqrt(np.mean(squares[10:]))
 
 
-@pytest.mark.parametrize('silence', ['none', 'map'])
-def test_400_particles_come_within_a_tenth_of_the_exact_filter(silence: str) -> None:
+@pytest.mark.parametrize(('silence', 'share'), [('none', 0.05), ('map', 0.1)])
+def test_400_particles_come_near_the_exact_filter(silence: str, share: float) -> None:
     exact = random_world('grid', silence)
-    # Over eight seeds the ratios are 0.96 to 1.10, 1.02 on average; chance and the 50 m cells let
-    # it fall below 1.
+    # With silence over eight seeds the ratios are 0.96 to 1.10, 1.02 on average; chance and the
+    # 50 m cells let it fall below 1. Heard only, over 400 vehicles, they are 0.996 to 1.006.
     for method in PARTICLES:
-        assert random_world(method, silence) == pytest.approx(exact, rel=0.1), method
+        assert random_world(method, silence) == pytest.approx(exact, rel=share), method
 
 
 # What holds whatever is heard
@@ -409,6 +409,7 @@ def test_what_was_heard_is_left_as_it_was(method: str) -> None:
         np.testing.assert_array_equal(getattr(observation, name), value)
 
 
-@pytest.mark.parametrize(('method', 'count'), [('ts_mcl', 200), ('mcl', 200), ('grid', 0)])
+@pytest.mark.parametrize(('method', 'count'), [
+    ('ts_mcl', 200), ('mcl', 200), ('mcb', 200), ('grid', 0)])
 def test_particles_can_be_looked_at(method: str, count: int) -> None:
     assert make(method, vehicles=3).particles.shape == (3, count, 2)

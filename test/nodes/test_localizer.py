@@ -16,6 +16,7 @@ from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.runtime import (
@@ -348,7 +349,7 @@ def test_a_replay_into_a_running_localizer_gives_what_the_bag_gives_in_process(
 
 
 @pytest.mark.parametrize(('override', 'complaint'), [
-    ('method:=magic', "method: 'magic' is not allowed, must be one of ts_mcl, mcl, grid"),
+    ('method:=magic', f"method: 'magic' is not allowed, must be one of {', '.join(METHODS)}"),
     ('silence:=loud', "silence: 'loud' is not allowed, must be one of none, memory, map"),
     ('particles:=5', "--ros-args: unknown parameter 'particles', did you mean "),
 ])

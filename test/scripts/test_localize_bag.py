@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader, Writer
+from tsmcl_ros.methods import METHODS
 from tsmcl_ros.scripts.localize_bag import main
 from tsmcl_ros.types import Observation, Odometry
 
@@ -280,7 +281,8 @@ def test_a_topic_of_beacons_without_messages_is_named(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(('options', 'line'), [
-    (['--method', 'kalman'], "method: 'kalman' is not allowed, must be one of ts_mcl, mcl, grid"),
+    (['--method', 'kalman'],
+     f"method: 'kalman' is not allowed, must be one of {', '.join(METHODS)}"),
     (['--min-particles', '0'], 'min_particles: 0 is not allowed, must be a whole number at least'),
     (['--seed', 'x'], "seed: 'x' is not allowed, must be a whole number at least 0"),
     (['--min-particles', '300', '--max-particles', '200'], 'max_particles: 200 is not allowed'),

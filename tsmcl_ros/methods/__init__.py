@@ -4,8 +4,10 @@ from typing import Any
 
 from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.methods.grid import Grid
+from tsmcl_ros.methods.mcb import Mcb
 from tsmcl_ros.methods.mcl import Mcl
 from tsmcl_ros.methods.ts_mcl import TsMcl
 
 # Each is an Estimator with a Config of its own, which is what keeps a common type from them.
-METHODS: dict[str, Any] = {'ts_mcl': TsMcl, 'mcl': Mcl, 'grid': Grid, 'ekf': Ekf}
+METHODS: dict[str, Any] = {
+    'ts_mcl': TsMcl, 'mcl': Mcl, 'mcb': Mcb, 'grid': Grid, 'ekf': Ekf}

@@ -16,6 +16,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.special import log_ndtr
+from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.types import Array
 
 
@@ -224,19 +225,24 @@ class Evidence:
     heard : (V,) bool
         False for a vehicle that heard nothing; its likelihood is 1 everywhere.
     region : callable
-        Returns `box`; it is seldom asked for.
+        Returns `reach`; it is seldom asked for.
     """
 
     factors: tuple[Factor, ...]
     terms: Array
     floor: Array
     heard: Array
-    region: Callable[[], Array]
+    region: Callable[[], Reach]
+
+    @cached_property
+    def reach(self) -> Reach:
+        """How far from the references the vehicles may be."""
+        return self.region()
 
     @cached_property
     def box(self) -> Array:
         """(V, 2, D) float32: corners [m] of a region that holds all likely positions."""
-        return self.region()
+        return self.reach.box()
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P) float32 at points (V, P, D) or shared ones (1, P, D) [m]."""

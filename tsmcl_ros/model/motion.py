@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from tsmcl_ros.config import Config, param
+from tsmcl_ros.model.kernel import BallKernel, GaussianKernel, Kernel
 from tsmcl_ros.types import Array, Motion
 
 
@@ -63,6 +64,9 @@ class MotionModel(Protocol):
     def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
         """Return the states (V, N, D + extra) after the motion."""
 
+    def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> Kernel:
+        """Return where `predict` may put the states (V, N, D + extra), to draw it in boxes."""
+
 
 class RandomMotion:
     """
@@ -84,6 +88,10 @@ class RandomMotion:
     def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
         """Return the states (V, N, D) after the motion."""
         return states + uniform_ball(states.shape, self.reach(motion.elapsed), rng)
+
+    def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> BallKernel:
+        """Return the balls around the states (V, N, D)."""
+        return BallKernel(states.astype(np.float64), self.reach(motion.elapsed))
 
     def reach(self, elapsed: float) -> float:
         """Return the radius [m] of the disk after this time [s]."""
@@ -116,8 +124,24 @@ class OdometryMotion:
         moved = states.copy()
         position = moved[:, :, :dimension]
         position += std[:, None, None] * rng.standard_normal(position.shape, np.float32)
+        self._drive(moved, displacement, turn, rng)
+        return moved
+
+    def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> GaussianKernel:
+        """Return the noise around the states (V, N, D + extra) driven, their headings drawn."""
+        dimension = states.shape[2] - self.extra
+        displacement, turn, std = self.measured(motion, len(states), dimension)
+        driven = states.copy()
+        self._drive(driven, displacement, turn, rng)
+        return GaussianKernel(driven[:, :, :dimension].astype(np.float64),
+                              std.astype(np.float64), driven[:, :, dimension:])
+
+    def _drive(self, states: Array, displacement: Array, turn: Array, rng: np.random.Generator
+               ) -> None:
+        """Displace states (V, N, D + extra), each along a heading that drifts on the way."""
+        position = states[:, :, :displacement.shape[1]]
         if self.heading:
-            heading = moved[:, :, dimension]
+            heading = states[:, :, displacement.shape[1]]
             path = np.linalg.norm(displacement, axis=1)
             drift = np.sqrt((self.config.alpha1 * turn) ** 2 + (self.config.alpha2 * path) ** 2)
             change = drift.astype(np.float32)[:, None] * rng.standard_normal(
@@ -131,7 +155,6 @@ class OdometryMotion:
             heading += change
         else:
             position += displacement[:, None, :]
-        return moved
 
     def measured(self, motion: Motion, vehicles: int, dimension: int
                  ) -> tuple[Array, Array, Array]:
@@ -188,6 +211,17 @@ class VelocityMotion:
         return np.concatenate([
             position + path * velocity + along * first + across * second,
             keep * velocity + change * first], axis=2)
+
+    def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> GaussianKernel:
+        """Return where the states (V, N, 2 D) lead, and the velocities that come with noise."""
+        position, velocity = states[:, :, :self.extra], states[:, :, self.extra:]
+        keep, path, change, along, across = self.transition(motion.elapsed)
+        variance = along ** 2 + across ** 2
+        return GaussianKernel(
+            position + path * velocity.astype(np.float64),
+            np.full(len(states), math.sqrt(variance)), keep * velocity,
+            coupling=change * along / variance if variance > 0 else 0.0,
+            remembered_std=change * across / math.sqrt(variance) if variance > 0 else change)
 
     def transition(self, elapsed: float) -> tuple[float, float, float, float, float]:
         """

@@ -17,7 +17,7 @@ from tsmcl_ros.model.evidence import (
     References,
     ShadowedBoundary,
 )
-from tsmcl_ros.model.geometry import intersect_boxes
+from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
     draw_asymmetric,
@@ -303,7 +303,7 @@ class Channel:
             terms += np.isfinite(boundary.radius).sum(axis=(1, 2))
         return Evidence(
             factors=tuple(factors), terms=np.maximum(terms, 1), floor=floor, heard=heard,
-            region=lambda: self._box(observation, ranged, powered, bounded, radius))
+            region=lambda: self._reach(observation, ranged, powered, bounded, radius))
 
     def distances(self, observation: Observation) -> tuple[Array, Array, Array]:
         """
@@ -447,21 +447,20 @@ class Channel:
         softness = self.softness(np.where(np.isfinite(reach), reach, 50))
         return DiskBoundary(references, reach, softness.astype(np.float32), side)
 
-    def _box(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
-             radius: Array) -> Array:
-        """Return the boxes (V, 2, D) in which the heard references leave the vehicles."""
+    def _reach(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
+               radius: Array) -> Reach:
+        """Return how far from the heard references the vehicles may be, but for one in 700."""
         radio = self.radio
-        reach = np.full(radius.shape, np.inf)
         edge = radius + 3 * (radio.edge_softness or 0.02 * radius)
         loss = self.path_loss(observation.sender)
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
-        reach = np.where(bounded, edge * observation.hops, reach)
+        presence = np.where(bounded, edge * observation.hops, np.inf)
         std = self._range_std(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
-        reach = np.where(ranged, np.minimum(reach, np.maximum(furthest, std)), reach)
+        measured = np.where(ranged, np.maximum(furthest, std), np.inf)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)
-        reach = np.where(powered, by_power, reach)
+        measured = np.where(powered, np.minimum(measured, by_power), measured)
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))
-        reach = reach[:, :, None] + spread
-        return intersect_boxes(observation.position, reach, observation.heard)
+        return Reach(observation.position, observation.heard, presence[:, :, None] + spread,
+                     measured[:, :, None] + spread)

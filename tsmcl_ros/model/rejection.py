@@ -1,0 +1,231 @@
+"""
+Rejection and redraw: what the filters of the MCL family share, whatever they redraw from.
+
+A particle survives with the probability that its presence evidence gives it. Measurements weigh
+the survivors; a filter with a threshold rejects by them too, which keeps the weights even
+(rejection control, Liu, Chen and Wong 1998): below the threshold, as an average, survival is as
+much rarer as the weight is raised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from tsmcl_ros.config import param
+from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.evidence import Evidence
+from tsmcl_ros.model.kernel import choose
+from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
+
+# Draws states (M, D + extra) and their weights (M,) for vehicles (M,), and tells which are valid.
+Redraw = Callable[[Array], tuple[Array, Array, Array]]
+
+
+@dataclass(frozen=True)
+class RejectionConfig(CloudConfig):
+    """The rejection; more redraws find more survivors, for more time."""
+
+    max_redraws: int = param(
+        20, 'times that rejected particles are drawn again from the prediction',
+        low=0, high=10_000)
+
+
+class RejectionFilter(ParticleFilter):
+    """
+    A filter of V vehicles that predicts, rejects and redraws, weighs what is measured, resamples.
+
+    Attributes
+    ----------
+    draws : (V,) int
+        Positions that the last update has drawn of each vehicle, the prediction included.
+    """
+
+    def __init__(self, config: RejectionConfig, channel: Channel, motion: MotionModel,
+                 vehicles: int, dimension: int, rng: np.random.Generator):
+        super().__init__(config, channel, motion, vehicles, dimension, rng)
+        self.config = config
+        self.draws = np.zeros(vehicles, np.int64)
+        self._motion = Motion(0.0)
+        self._parents, self._inherited = self.cloud.states, self.cloud.weights
+        self._predicted = np.zeros(vehicles, bool)
+
+    def start(self, prior: Prior) -> None:
+        """Replace one vehicle's belief by a prior, which redraws cannot be made from."""
+        super().start(prior)
+        self._predicted[prior.vehicle] = False
+
+    def predict(self, motion: Motion) -> None:
+        """Move the particles, keeping their parents for the redraws."""
+        self._motion, self._parents = motion, self.cloud.states
+        self._predicted[:] = True
+        super().predict(motion)
+
+    def update(self, observation: Observation) -> Estimate:
+        """Keep and redraw particles until enough survive what was heard."""
+        evidence = self.channel.evidence(observation)
+        old = self.cloud.placed & evidence.heard
+        self.cloud.place(evidence)
+        threshold = self.threshold(evidence)
+        starved = self.filter(evidence, old, threshold)
+        if starved.any():
+            self.cloud.place_again(starved, evidence)
+        measured = evidence.measured
+        log_likelihood = self.cloud.recover(
+            measured, measured.log_likelihood(self.cloud.particles))
+        if threshold is not None:
+            # The rest of their likelihood has already decided on who survived.
+            log_likelihood = np.maximum(log_likelihood, threshold[:, None])
+        self.cloud.weigh(log_likelihood)
+        estimate = self.cloud.estimate(observation)
+        self.cloud.resample()
+        return estimate
+
+    def threshold(self, evidence: Evidence) -> Array | None:
+        """Return the log-likelihood (V,) below which measurements reject, None for never."""
+        return None
+
+    def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
+        """
+        Return how to redraw the rejected.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What was heard.
+        weights : (V,) float
+            Mean weight of each vehicle's survivors.
+        """
+        raise NotImplementedError
+
+    def filter(self, evidence: Evidence, which: Array, threshold: Array | None = None) -> Array:
+        """
+        Reject particles and redraw them from their vehicle's prediction.
+
+        What is still rejected after the last redraw becomes a copy of a random survivor.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What was heard.
+        which : (V,) bool
+            The vehicles to filter.
+        threshold : (V,) float, optional
+            See `threshold`.
+
+        Returns
+        -------
+        (V,) bool
+            The vehicles of which no particle survived; theirs are left as predicted.
+        """
+        states, weights, dimension = self.cloud.states, self.cloud.weights, self.cloud.dimension
+        trial = Trial(evidence.presence, evidence.measured, threshold, self.rng)
+        self._inherited = weights.copy()
+        self.draws = np.where(which, weights.shape[1], 0)
+        rejected = which[:, None] & ~trial.passed(self.cloud.particles)
+        redraw: Redraw | None = None
+        for _ in range(self.config.max_redraws):
+            owner, index = np.nonzero(rejected & self._predicted[:, None])
+            if not len(owner):
+                break
+            redraw = redraw or self.redraws(evidence, _mean(weights, ~rejected))
+            drawn, weight, valid = redraw(owner)
+            self.draws += np.bincount(owner, minlength=len(which))
+            valid[valid] = trial.passed_by(drawn[valid, :dimension], owner[valid])
+            owner, index = owner[valid], index[valid]
+            states[owner, index], weights[owner, index] = drawn[valid], weight[valid]
+            rejected[owner, index] = False
+        self._predicted[:] = False
+        starved = rejected.all(axis=1)
+        rejected[starved] = False
+        self._copy_survivors(rejected)
+        return np.asarray(starved)
+
+    def _copy_survivors(self, rejected: Array) -> None:
+        """Replace the rejected (V, N) bool by random survivors, of which all have some."""
+        states, weights = self.cloud.states, self.cloud.weights
+        owner, index = np.nonzero(rejected)
+        if len(owner):
+            # Survivors first in each vehicle's order, so that a random rank picks one.
+            survivors = np.argsort(rejected, axis=1, kind='stable')
+            number = weights.shape[1] - rejected.sum(axis=1)
+            rank = (self.rng.random(len(owner)) * number[owner]).astype(np.int64)
+            survivor = survivors[owner, rank]
+            states[owner, index] = states[owner, survivor]
+            weights[owner, index] = weights[owner, survivor]
+
+    def redraw_in_boxes(self, low: Array, high: Array, weights: Array) -> Redraw:
+        """
+        Return redraws within boxes, exactly as probable as the motion makes them there.
+
+        Parents are chosen by their weight times their kernel's mass in the box.
+
+        Parameters
+        ----------
+        low, high : (V, D) float
+            Corners [m]; without any mass in it a box gives no valid draws.
+        weights : (V,) float
+            Of every draw.
+        """
+        kernel = self.cloud.motion.kernel(self._parents, self._motion, self.rng)
+        mass = self._inherited * kernel.mass(low, high)
+        possible = mass.any(axis=1)
+        columns = self.cloud.states.shape[2]
+
+        def redraw(owner: Array) -> tuple[Array, Array, Array]:
+            valid = possible[owner]
+            states = np.zeros((len(owner), columns), np.float32)
+            among = owner[valid]
+            states[valid], valid[valid] = kernel.draw(
+                among, choose(mass, among, self.rng), low, high, self.rng)
+            return states, weights[owner], valid
+
+        return redraw
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """
+    Lets positions survive at random, each with its own probability.
+
+    Attributes
+    ----------
+    presence, measured : Evidence
+        What was heard, apart.
+    threshold : (V,) float or None
+        Log-likelihood of the measurements below which they reject.
+    rng : numpy.random.Generator
+    """
+
+    presence: Evidence
+    measured: Evidence
+    threshold: Array | None
+    rng: np.random.Generator
+
+    def passed(self, points: Array) -> Array:
+        """Return which of the points (V, P, D) [m] survive, (V, P) bool."""
+        chance = self.presence.log_likelihood(points)
+        if self.threshold is not None:
+            chance += np.minimum(
+                self.measured.log_likelihood(points) - self.threshold[:, None], 0)
+        return self._drawn(chance)
+
+    def passed_by(self, points: Array, vehicle: Array) -> Array:
+        """Return which of a flat list of points (M, D) [m] of vehicles (M,) survive, (M,) bool."""
+        chance = self.presence.log_likelihood_of(points, vehicle)
+        if self.threshold is not None:
+            chance += np.minimum(self.measured.log_likelihood_of(points, vehicle)
+                                 - self.threshold[vehicle], 0)
+        return self._drawn(chance)
+
+    def _drawn(self, chance: Array) -> Array:
+        return np.log(1 - self.rng.random(chance.shape, np.float32)) < chance
+
+
+def _mean(weights: Array, rows: Array) -> Array:
+    """Return each vehicle's mean weight (V,) of the chosen (V, N) bool, or of all if none is."""
+    rows = rows | ~rows.any(axis=1, keepdims=True)
+    return np.asarray((weights * rows).sum(axis=1) / rows.sum(axis=1))
