@@ -7,7 +7,8 @@ from copy import deepcopy
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tsmcl_ros.model.outage import BRIDGED, OutagePredictor, SLOTS
+from tsmcl_ros.model.history import BRIDGED
+from tsmcl_ros.model.outage import OutagePredictor, SLOTS
 from tsmcl_ros.types import Estimate
 
 

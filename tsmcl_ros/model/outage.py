@@ -10,14 +10,12 @@ fast as this vehicle used to lose it, and the uncertainty grows as it did then.
 from __future__ import annotations
 
 from dataclasses import replace
-import math
 
 import numpy as np
+from tsmcl_ros.model.history import axis_variance, History, SLOT
 from tsmcl_ros.types import Array, Estimate
 
-SLOT = 1.0  # s, between two positions of a history
-SLOTS = 512
-BRIDGED = 30.0  # s, the longest gap across which a history is interpolated
+SLOTS = 512  # of a history
 _BASE = 3  # slots that a velocity is measured over
 _LEAST = 12  # slots that a history must have to tell anything
 # A displacement over a third of the history is the longest of which it holds enough examples.
@@ -38,52 +36,23 @@ class OutagePredictor:
     """
 
     def __init__(self, vehicles: int, dimension: int):
-        self._slot = -math.inf
-        self._position = np.zeros((vehicles, SLOTS, dimension))
-        self._variance = np.full((vehicles, SLOTS), np.inf)
-        self._stamp = np.full(vehicles, -np.inf)
-        self._mean = np.zeros((vehicles, dimension))
-        self._covariance = np.zeros((vehicles, dimension, dimension))
+        self.history = History(vehicles, dimension, SLOTS)
         self._velocity = np.full((vehicles, dimension), np.nan)
         self._grown = np.zeros(vehicles)
 
     def forget(self, which: Array | int) -> None:
         """Drop the histories of these vehicles, an index or (V,) bool."""
-        self._variance[which] = np.inf
-        self._stamp[which] = -np.inf
+        self.history.forget(which)
 
     def learn(self, estimate: Estimate, which: Array) -> None:
         """Take in the estimates of these vehicles (V,) bool, who heard something."""
-        stamp, variance = estimate.stamp, _variance(estimate.covariance)
-        self._shift(stamp)
-        which = which & np.isfinite(variance)
-        rows = np.flatnonzero(which)
-        if not len(rows):
-            return
-        since = np.where(self._stamp[rows] < stamp - BRIDGED, stamp, self._stamp[rows])
-        # The last slots, by the times that they stand for.
-        recent = int(BRIDGED / SLOT) + 1
-        time = (self._slot - np.arange(recent)[::-1]) * SLOT
-        inside = time > since[:, None]
-        share = (time - since[:, None]) / np.maximum(stamp - since[:, None], 1e-9)
-        before = self._mean[rows]
-        between = before[:, None] + share[:, :, None] * (estimate.mean[rows] - before)[:, None]
-        self._position[rows, -recent:] = np.where(
-            inside[:, :, None], between, self._position[rows, -recent:])
-        self._variance[rows, -recent:] = np.where(
-            inside, variance[rows, None], self._variance[rows, -recent:])
-        self._stamp[rows] = stamp
-        self._mean[rows] = estimate.mean[rows]
-        self._covariance[rows] = estimate.covariance[rows]
-        elapsed = stamp - (self._slot - _BASE) * SLOT
-        base = self._position[rows, -1 - _BASE]
-        base = np.where(np.isfinite(self._variance[rows, -1 - _BASE])[:, None], base, np.nan)
-        self._velocity[rows] = (estimate.mean[rows] - base) / elapsed
+        rows = self.history.learn(estimate.stamp, estimate.mean, estimate.covariance, which)
+        self._velocity[rows] = self.history.velocity(rows, _BASE)
         self._grown[rows] = 0
 
     def ready(self) -> Array:
         """Return which vehicles (V,) bool have a history long enough to predict from."""
-        return np.asarray(np.isfinite(self._variance).sum(axis=1) >= _LEAST)
+        return np.asarray(np.isfinite(self.history.variance).sum(axis=1) >= _LEAST)
 
     def replace(self, estimate: Estimate, which: Array) -> Estimate:
         """
@@ -91,17 +60,18 @@ class OutagePredictor:
 
         Those whose past is too short are left as they are.
         """
-        self._shift(estimate.stamp)
+        self.history.pass_time(estimate.stamp)
         rows = np.flatnonzero(which & self.ready())
         if not len(rows):
             return estimate
-        lead, grown = self._ahead(rows, estimate.stamp - self._stamp[rows])
+        lead, grown = self._ahead(rows, estimate.stamp - self.history.stamp[rows])
         velocity = np.nan_to_num(self._velocity[rows])
         # What is once unknown of a vehicle is not found again by waiting.
         self._grown[rows] = grown = np.maximum(self._grown[rows], grown)
         mean, covariance = estimate.mean.copy(), estimate.covariance.copy()
-        mean[rows] = self._mean[rows] + lead[:, None] * velocity
-        covariance[rows] = self._covariance[rows] + grown[:, None, None] * np.eye(mean.shape[1])
+        mean[rows] = self.history.mean[rows] + lead[:, None] * velocity
+        noise = grown[:, None, None] * np.eye(mean.shape[1])
+        covariance[rows] = self.history.covariance[rows] + noise
         return replace(estimate, mean=mean, covariance=covariance)
 
     def _ahead(self, rows: Array, horizon: Array) -> tuple[Array, Array]:
@@ -120,12 +90,12 @@ class OutagePredictor:
         lead, variance : (R,) float
             Displacement per velocity [s]; [m^2].
         """
-        position, variance = self._position[rows], self._variance[rows]
+        position, variance = self.history.position[rows], self.history.variance[rows]
         dimension = position.shape[2]
         known = np.isfinite(variance)
         span = known.sum(axis=1)
         lag = np.clip(np.round(horizon / SLOT), 1, np.maximum(span // _SHARE, 1)).astype(int)
-        now = _variance(self._covariance[rows])[:, None]
+        now = axis_variance(self.history.covariance[rows])[:, None]
         # Estimates that were less certain than the last one tell less.
         weight = np.where(known, now / np.maximum(variance, np.maximum(now, 1e-12)), 0)
         start, weight_start = position[:, _BASE:], weight[:, _BASE:] * weight[:, :-_BASE]
@@ -154,21 +124,6 @@ class OutagePredictor:
         off *= np.maximum(horizon / (lag * SLOT), 1) ** _GROWTH
         unseen = pace / dimension * _straying(horizon, span * SLOT)
         return lead, np.maximum(off, unseen)
-
-    def _shift(self, stamp: float) -> None:
-        """Let the last slot be the one of this time [s]."""
-        slot = math.floor(stamp / SLOT)
-        passed = min(slot - self._slot, SLOTS)
-        if passed > 0:
-            for slots, unknown in ((self._position, 0), (self._variance, np.inf)):
-                slots[:, :-passed or None] = slots[:, passed:]
-                slots[:, -passed:] = unknown
-            self._slot = slot
-
-
-def _variance(covariance: Array) -> Array:
-    """Return the mean variance of an axis (V,) [m^2]."""
-    return np.asarray(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])
 
 
 def _straying(horizon: Array, memory: Array) -> Array:

@@ -1,0 +1,111 @@
+"""The way that vehicles came: their last positions at even times, for those who predict."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from tsmcl_ros.types import Array
+
+SLOT = 1.0  # s, between two positions of a history
+BRIDGED = 30.0  # s, the longest gap across which a history is interpolated
+
+
+class History:
+    """
+    The last positions of V vehicles, interpolated at even times.
+
+    Parameters
+    ----------
+    vehicles, dimension, slots : int
+        V, D and how many positions are kept, S.
+
+    Attributes
+    ----------
+    position : (V, S, D) float64
+        [m]; the last one is of the last whole multiple of `SLOT`.
+    variance : (V, S) float64
+        Of each, mean of the axes [m^2]; infinite where nothing is known.
+    stamp : (V,) float64
+        Time of the last position learned [s], -inf if there is none.
+    mean, covariance : (V, D), (V, D, D) float64
+        What was learned last [m, m^2].
+    """
+
+    def __init__(self, vehicles: int, dimension: int, slots: int):
+        self._slot = -math.inf
+        self.position = np.zeros((vehicles, slots, dimension))
+        self.variance = np.full((vehicles, slots), np.inf)
+        self.stamp = np.full(vehicles, -np.inf)
+        self.mean = np.zeros((vehicles, dimension))
+        self.covariance = np.zeros((vehicles, dimension, dimension))
+
+    def forget(self, which: Array | int) -> None:
+        """Drop what is known of these vehicles, an index or (V,) bool."""
+        self.variance[which] = np.inf
+        self.stamp[which] = -np.inf
+
+    @property
+    def time(self) -> float:
+        """The time of the last slot [s]."""
+        return self._slot * SLOT
+
+    def learn(self, stamp: float, mean: Array, covariance: Array, which: Array) -> Array:
+        """
+        Take in where these vehicles (V,) bool are, unless that is not finite.
+
+        Parameters
+        ----------
+        stamp : float
+            [s].
+        mean, covariance : (V, D), (V, D, D) float
+            [m, m^2].
+        which : (V,) bool
+            Of whom.
+
+        Returns
+        -------
+        (R,) int
+            The vehicles of whom something was learned.
+        """
+        self.pass_time(stamp)
+        variance = axis_variance(covariance)
+        rows = np.flatnonzero(which & np.isfinite(variance))
+        if not len(rows):
+            return rows
+        since = np.where(self.stamp[rows] < stamp - BRIDGED, stamp, self.stamp[rows])
+        recent = min(int(BRIDGED / SLOT) + 1, self.position.shape[1])
+        time = (self._slot - np.arange(recent)[::-1]) * SLOT
+        inside = time > since[:, None]
+        share = (time - since[:, None]) / np.maximum(stamp - since[:, None], 1e-9)
+        before = self.mean[rows]
+        between = before[:, None] + share[:, :, None] * (mean[rows] - before)[:, None]
+        self.position[rows, -recent:] = np.where(
+            inside[:, :, None], between, self.position[rows, -recent:])
+        self.variance[rows, -recent:] = np.where(
+            inside, variance[rows, None], self.variance[rows, -recent:])
+        self.stamp[rows], self.mean[rows] = stamp, mean[rows]
+        self.covariance[rows] = covariance[rows]
+        return rows
+
+    def velocity(self, rows: Array, base: int) -> Array:
+        """Return the mean velocity [m/s] (R, D) over the last slots, NaN where unknown."""
+        elapsed = self.stamp[rows] - (self._slot - base) * SLOT
+        change = self.mean[rows] - self.position[rows, -1 - base]
+        known = np.isfinite(self.variance[rows, -1 - base])
+        return np.asarray(np.where(known[:, None], change / elapsed[:, None], np.nan))
+
+    def pass_time(self, stamp: float) -> None:
+        """Let the last slot be the one of this time [s]."""
+        slot = math.floor(stamp / SLOT)
+        passed = min(slot - self._slot, self.position.shape[1])
+        if passed > 0:
+            for slots, unknown in ((self.position, 0), (self.variance, np.inf)):
+                slots[:, :-passed or None] = slots[:, passed:]
+                slots[:, -passed:] = unknown
+            self._slot = slot
+
+
+def axis_variance(covariance: Array) -> Array:
+    """Return the mean variance of an axis (V,) [m^2]."""
+    return np.asarray(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])
