@@ -2,31 +2,22 @@
 EKF: an extended Kalman filter on ranges, in the plane and in space.
 
 Gao, Wang, Shen: mobile underwater acoustic networks. Placed by linearised least squares, moved by
-constant velocity for whatever time has passed (or by odometry), updated in Joseph form. Beyond the
-paper: ranges are expected to second order, so that broad beliefs are honest; a measurement counts
-as much as it is likely to be sound; rssi is a range on a log scale; and who was merely heard, or
-was silent, bounds the range. Where ranges cannot place a vehicle, the moments of all evidence do.
+constant velocity for whatever time has passed (or by odometry), updated in Joseph form; the
+residual of the ranges tells when the next beacons are wanted. What goes beyond the paper is told
+where it is done, in `gaussian_filter`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from tsmcl_ros.model import gaussian
-from tsmcl_ros.model.belief import Beliefs
 from tsmcl_ros.model.cloud import RecoveryConfig
-from tsmcl_ros.model.kinematics import kinematics_of
+from tsmcl_ros.model.gaussian_filter import GaussianFilter
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.particles import moments, normalize
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel
-from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
-
-# Points at which the evidence that places a vehicle is looked at.
-_POINTS = 2048
-# A logistic edge of width s lies within 0.01 of a Gaussian one of this std.
-_LOGISTIC_STD = 1.702
+from tsmcl_ros.types import Array, Estimate, Observation
 
 
 @dataclass(frozen=True)
@@ -34,75 +25,23 @@ class EkfConfig(RecoveryConfig, PeriodConfig):
     """When a vehicle is placed anew, and how often it wants beacons."""
 
 
-class Ekf:
-    """
-    EKF of V vehicles: predict, update by one reference after the other, place who is new or lost.
-
-    Parameters
-    ----------
-    config : EkfConfig
-    channel : Channel
-    motion : MotionModel
-    vehicles, dimension : int
-        V and D.
-    rng : numpy.random.Generator
-        Spreads the points at which evidence is looked at.
-
-    Attributes
-    ----------
-    beliefs : Beliefs
-        Position, then what the motion model remembers.
-    placed : (V,) bool
-        False for a vehicle that never heard a beacon.
-    """
+class Ekf(GaussianFilter):
+    """EKF of V vehicles: predict, update by one reference after the other, ask for a period."""
 
     Config = EkfConfig
 
     def __init__(self, config: EkfConfig, channel: Channel, motion: MotionModel,
                  vehicles: int, dimension: int, rng: np.random.Generator):
+        super().__init__(config, channel, motion, vehicles, dimension, rng)
         self.config = config
-        self.channel = channel
-        self.dimension = dimension
-        self.rng = rng
-        self.kinematics = kinematics_of(motion, dimension)
-        self.beliefs = Beliefs(vehicles, dimension + self.kinematics.extra, dimension,
-                               channel.switches.outlier_fraction)
-        self.placed = np.zeros(vehicles, bool)
-        self._doubts = np.zeros(vehicles, int)
-
-    @property
-    def particles(self) -> Array:
-        """(V, 0, D) float32: a Gaussian has none."""
-        return np.zeros((len(self.placed), 0, self.dimension), np.float32)
-
-    def start(self, prior: Prior) -> None:
-        """Replace one vehicle's belief by a prior."""
-        self._place(np.array([prior.vehicle]), prior.mean, prior.covariance, prior)
-
-    def forget(self, vehicle: int) -> None:
-        """Drop one vehicle's belief: it starts anew at its next beacon."""
-        self.placed[vehicle] = False
-
-    def predict(self, motion: Motion) -> None:
-        """Move the beliefs by the motion since the last epoch."""
-        beliefs = self.beliefs
-        beliefs.mean, beliefs.covariance = self.kinematics.predict(
-            beliefs.mean, beliefs.covariance, motion)
 
     def update(self, observation: Observation) -> Estimate:
-        """Take in what was heard, one reference after the other."""
-        heard = observation.heard.any(axis=1)
-        known = self.placed & heard
+        """Take in what was heard, and tell how often to be heard."""
+        known = self.placed & observation.heard.any(axis=1)
         residual = np.where(known, self.residual(observation), np.inf)
-        before = self.beliefs.mean, self.beliefs.covariance
-        self.beliefs.begin()
-        self._measure(observation, known)
-        self._bound(observation, known)
-        lost = self._lost(known)
-        self.beliefs.keep(lost, *before)
-        self._locate(np.flatnonzero((heard & ~self.placed) | lost), observation)
+        lost = self.take_in(observation)
         residual[lost] = np.inf
-        return self._estimate(observation, lost, residual)
+        return self.estimate(observation, lost, self.config.factor(residual))
 
     def residual(self, observation: Observation) -> Array:
         """Return sum |z - z_hat| (V,) [m] over the ranges as predicted, inf if there are none."""
@@ -111,115 +50,3 @@ class Ekf:
         expected = np.linalg.norm(position - observation.position, axis=2)
         total = np.where(used, np.abs(distance - expected), 0).sum(axis=1)
         return np.where(used.any(axis=1), total, np.inf)
-
-    def _measure(self, observation: Observation, known: Array) -> None:
-        """Take in ranges and rssi."""
-        distance, std, ranged = self.channel.distances(observation)
-        powered = self.channel.powered(observation)
-        loss = self.channel.path_loss(observation.sender)
-        slope = 10 * loss.exponent
-        excess = (loss.reference - observation.rssi) / slope
-        for row in range(ranged.shape[1]):
-            reference = observation.position[:, row], observation.covariance[:, row]
-            if (used := ranged[:, row] & known).any():
-                self.beliefs.measure(used, self.beliefs.sight(*reference), distance[:, row],
-                                     std[:, row] ** 2)
-            if (used := powered[:, row] & known).any():
-                self.beliefs.measure(
-                    used, self.beliefs.sight(*reference).on_log_scale(), excess[:, row],
-                    (loss.sigma[:, row] / slope[:, row]) ** 2)
-
-    def _bound(self, observation: Observation, known: Array) -> None:
-        """Take in who was heard without being measured, and who was silent."""
-        channel = self.channel
-        measured = channel.distances(observation)[2] | channel.powered(observation)
-        radius = channel.radius(observation.max_range, observation.sender)
-        heard = observation.heard & (radius > 0) & ~measured & channel.switches.use_heard
-        relayed = heard & (observation.hops == 2)
-        edges = [(observation.sender, observation.position, observation.covariance, used, edge,
-                  side) for used, edge, side in (
-                      (heard, np.where(relayed, 2 * radius, radius), 1), (relayed, radius, -1))]
-        silent = observation.silent
-        if silent is not None and channel.switches.silence != 'none':
-            radius = channel.radius(silent.max_range, silent.sender)
-            # Ranges make silence superfluous.
-            used = silent.known & (radius > 0) & ~measured.any(axis=1, keepdims=True)
-            exact = np.zeros((*silent.position.shape, self.dimension))
-            edges.append((silent.sender, silent.position, exact, used, radius, -1))
-        for sender, position, covariance, used, edge, side in edges:
-            used = used & known[:, None]
-            for row in np.flatnonzero(used.any(axis=0)).tolist():
-                sight = self.beliefs.sight(position[:, row], covariance[:, row])
-                limit = np.where(used[:, row], edge[:, row], 1.0)
-                if channel.radio.radio_model == 'lognormal':
-                    sight, std = sight.on_log_scale(), 1 / channel.path_loss(sender[:, row]).slope
-                    limit = np.log10(limit)
-                else:
-                    std = _LOGISTIC_STD * channel.softness(limit)
-                self.beliefs.bound(used[:, row], sight, limit, side, std ** 2)
-
-    def _lost(self, known: Array) -> Array:
-        """Return which vehicles (V,) bool are not where they are believed to be."""
-        beliefs, config = self.beliefs, self.config
-        self._doubts = np.where(beliefs.doubtful, self._doubts + 1,
-                                np.where(known, 0, self._doubts))
-        hopeless = beliefs.fit < -config.exclusion - 0.7 * beliefs.terms
-        return np.asarray(known & (hopeless | (self._doubts >= config.patience)))
-
-    def _locate(self, vehicle: Array, observation: Observation) -> None:
-        """Place vehicles (W,) int by their ranges, or else by all evidence."""
-        if not len(vehicle):
-            return
-        distance, std, used = (part[vehicle] for part in self.channel.distances(observation))
-        reference, spread = observation.position[vehicle], observation.covariance[vehicle]
-        variance = std ** 2 + np.trace(spread, axis1=2, axis2=3) / self.dimension
-        fix = gaussian.multilaterate(reference, distance, variance, used)
-        spare = np.maximum(used.sum(axis=1) - self.dimension, 0)
-        # Three standard deviations of a chi-square distribution: else there are outliers.
-        sound = fix.solved & (fix.misfit < spare + 3 * np.sqrt(2 * spare) + 3)
-        if sound.any():
-            self._place(vehicle[sound], fix.position[sound], fix.covariance[sound])
-        if not sound.all():
-            self._locate_by_evidence(vehicle[~sound], observation)
-
-    def _locate_by_evidence(self, vehicle: Array, observation: Observation) -> None:
-        """Place vehicles (W,) int where the moments of their evidence are."""
-        box = self.channel.evidence(observation).box
-        side = (box[:, 1] - box[:, 0]).max(axis=1) / _POINTS ** (1 / self.dimension)
-        # The peaks of ranges must not fall between the points, however many make one.
-        _, std, used = self.channel.distances(observation)
-        grain = side * np.sqrt(np.maximum(used.sum(axis=1), 1))
-        blurred = np.hypot(std * self.channel.calibration.scale, grain[:, None])
-        evidence = self.channel.evidence(replace(observation, range_std=blurred))
-        low, high = box[vehicle, :1], box[vehicle, 1:]
-        points = low + (high - low) * self.rng.random(
-            (len(vehicle), _POINTS, self.dimension), np.float32)
-        likelihood = evidence.log_likelihood_of(
-            points.reshape(-1, self.dimension), np.repeat(vehicle, _POINTS))
-        weights, _ = normalize(likelihood.reshape(len(vehicle), _POINTS))
-        mean, covariance = moments(points, weights)
-        grain = np.maximum(side[vehicle] ** 2 / 12, 1e-6)[:, None, None]
-        self._place(vehicle, mean, covariance + grain * np.eye(self.dimension))
-
-    def _place(self, vehicle: Array, mean: Array, covariance: Array, prior: Prior | None = None
-               ) -> None:
-        """Give vehicles (W,) int new beliefs."""
-        self.beliefs.place(vehicle, mean, covariance, self.kinematics.begin(prior))
-        self.placed[vehicle] = True
-        self._doubts[vehicle] = 0
-
-    def _estimate(self, observation: Observation, lost: Array, residual: Array) -> Estimate:
-        beliefs, size = self.beliefs, self.dimension
-        heard = observation.heard.sum(axis=1)
-        rotation, rotation_variance = self.kinematics.rotation(beliefs.mean, beliefs.covariance)
-        unknown = ~self.placed
-        return Estimate(
-            stamp=observation.stamp,
-            mean=np.where(unknown[:, None], np.nan, beliefs.mean[:, :size]),
-            covariance=np.where(
-                unknown[:, None, None], np.nan, beliefs.covariance[:, :size, :size]),
-            rotation=np.where(unknown, np.nan, rotation),
-            rotation_variance=np.where(unknown, np.nan, rotation_variance),
-            ess=np.zeros(len(unknown)), particles=0,
-            log_likelihood=np.where(heard > 0, beliefs.log_likelihood, np.nan),
-            heard=heard, reinitialized=lost, period_factor=self.config.factor(residual))
