@@ -7,7 +7,7 @@ import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.types import MessageError, Observation, Odometry
+from tsmcl_ros.types import MessageError, Observation, Odometry, VEHICLE
 
 CORNERS = np.array([[0, 0, 2], [100, 0, 2], [0, 100, 2], [100, 100, 2]], np.float32)
 SETTINGS = {'min_particles': 200, 'range_std': 1.0, 'max_speed': 5.0}
@@ -141,6 +141,48 @@ def test_damaged_data_are_refused():
     for topic, (_, handler) in target.inputs.items():
         with pytest.raises(MessageError):
             handler(b'\0\1\0\0' + topic.encode())
+
+
+def neighbour(**fields):
+    """Return a scan whose last row is a vehicle's, at (50, 50) with a variance of 4 m^2."""
+    heard = scan(1.0, (20, 30))
+    row = replace(Observation.empty(1, 1, 3, 1.0), sender=np.array([[900]]))
+    row.kind[:], row.position[:], row.covariance[:] = VEHICLE, 50, 4 * np.eye(3)
+    for name, value in fields.items():
+        getattr(row, name)[:] = value
+    return Observation.join([heard, row])
+
+
+LINE = np.full((3, 3), 4.0)  # variance along one direction only
+
+
+@pytest.mark.parametrize(('fields', 'complaint'), [
+    ({'covariance': LINE}, 'vehicle 900 claims a singular covariance'),
+    ({'covariance': 0}, 'vehicle 900 claims a singular covariance'),
+    ({'covariance': LINE - 2 * np.eye(3)}, 'cov_xx to cov_zz are not allowed'),
+    ({'range': -1}, 'range -1 of id 900 is not allowed'),
+    ({'sender': 3}, 'an anchor and a vehicle claim id 3')])
+def test_what_cannot_be_true_of_a_vehicle_is_refused_and_the_filter_lives_on(fields, complaint):
+    target = endpoint('/a')
+    with pytest.raises(MessageError, match=complaint):
+        give(target, '/a/beacons', encoded(neighbour(**fields)))
+    give(target, '/a/beacons', encoded(neighbour()))
+    [(_, data)] = poses(target)
+    np.testing.assert_allclose(messages.decode_pose(data).position[:2], (20, 30), atol=1)
+
+
+def test_a_vehicle_whose_range_was_not_measured_is_a_reference_all_the_same():
+    target = endpoint('/a')
+    give(target, '/a/beacons', encoded(neighbour(range=np.nan, max_range=60)))
+    assert len(poses(target)) == 1
+
+
+def test_an_anchor_may_be_exactly_known_along_one_axis():
+    target = endpoint('/a')
+    surveyed = scan(1.0, (20, 30))
+    surveyed.covariance[:] = LINE
+    give(target, '/a/beacons', encoded(surveyed))
+    assert len(poses(target)) == 1
 
 
 def test_the_map_of_anchors_is_heeded():

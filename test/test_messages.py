@@ -386,6 +386,9 @@ BAD_CLOUDS = {
     'two anchors that claim one id': (
         lambda: cloud([beacon(5), beacon(6), {**beacon(5), 'y': 2.5}]),
         'two anchors claim id 5, at .1.0, 2.0, 3.0. and at .1.0, 2.5, 3.0.'),
+    'a vehicle that claims the id of an anchor': (
+        lambda: cloud([beacon(5, kind=0), beacon(6, kind=1), beacon(5, kind=1)]),
+        'an anchor and a vehicle claim id 5: an id must have one sender'),
 }
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.config import build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.model.echo import guard, refuse_certainty
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
@@ -206,7 +207,8 @@ class Localizer:
         Raises
         ------
         MessageError
-            If it comes too late, or an anchor is not where the map has it.
+            If it comes too late, an anchor is not where the map has it, or a vehicle claims to
+            be one or to know its place exactly.
         """
         stamp = observation.stamp
         self._admit('beacons', stamp, self._passed[vehicle])
@@ -216,6 +218,7 @@ class Localizer:
                 f'{self._last:.6f} s')
         observation = observation.project(self.config.dimension)
         self._anchors.check(observation)
+        refuse_certainty(observation)
         self._passed[vehicle] = stamp
         self._now = max(self._now, stamp)
         self._pending.setdefault(stamp, {})[vehicle] = observation
@@ -301,7 +304,8 @@ class Localizer:
             self._method.start(self._rotated(prior))
             self._outage.forget(prior.vehicle)
         self._priors = []
-        estimate = self._oriented(self._method.update(self._listen(observation)))
+        observation = self._guarded(self._listen(observation))
+        estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
         estimate = self._through_outage(estimate, motion)
         self._last, self._estimate = stamp, estimate
@@ -334,6 +338,13 @@ class Localizer:
         spread = np.sqrt(np.trace(self._estimate.covariance, axis1=1, axis2=2))
         moved = self.motion_config.max_speed * (observation.stamp - self._last)
         return self._anchors.listen(observation, self._estimate.mean, 4 * spread + moved)
+
+    def _guarded(self, observation: Observation) -> Observation:
+        """Believe no more of other vehicles than they can know without this one."""
+        if self._estimate is None:
+            return observation
+        return guard(observation, self._estimate.mean, self._estimate.covariance,
+                     self.evidence_config.echo_guard)
 
     def _oriented(self, estimate: Estimate) -> Estimate:
         """Add the odometry, from which the yaw follows where the rotation is known."""

@@ -19,7 +19,15 @@ import math
 
 import numpy as np
 from tsmcl_ros import cdr
-from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Odometry, Trajectory
+from tsmcl_ros.types import (
+    ANCHOR,
+    Array,
+    MessageError,
+    Observation,
+    Odometry,
+    Trajectory,
+    VEHICLE,
+)
 
 POINT_CLOUD = 'sensor_msgs/msg/PointCloud2'
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -110,7 +118,7 @@ def decode_beacons(data: bytes) -> tuple[Observation, str]:
     MessageError
         If the bytes are not a beacon scan, or say what cannot be true: a position that is not
         finite or beyond 100 km, a negative or infinite measurement, an unknown kind or number of
-        hops, a covariance that is none, or two anchors that claim one id.
+        hops, a covariance that is none, or an anchor's id that somebody else claims too.
     """
     reader = cdr.Reader(data)
     stamp, frame_id = _read_header(reader)
@@ -644,7 +652,7 @@ def _words(rows: Array) -> Array:
 
 
 def _check_claims(rows: Array) -> None:
-    """Refuse two anchors that claim one id: the same id with two positions."""
+    """Refuse an anchor's id with two positions, or with a vehicle that claims it too."""
     claims: dict[int, list[float]] = {}
     for row in rows[rows['kind'] == ANCHOR]:
         sender, position = int(row['id']), row['position'].tolist()
@@ -653,6 +661,10 @@ def _check_claims(rows: Array) -> None:
                 f'two anchors claim id {sender}, at {claims[sender]} and at {position}: '
                 'an id must have one position'
             )
+    for sender in rows['id'][rows['kind'] == VEHICLE].tolist():
+        if sender in claims:
+            raise MessageError(
+                f'an anchor and a vehicle claim id {sender}: an id must have one sender')
 
 
 def _full_covariance(terms: Array) -> Array:

@@ -170,6 +170,13 @@ def test_claims_are_checked_against_the_map_in_every_mode(mode):
         anchors.check(rows(1, 2, position=[[10, 0], [20, 1.5]]))
 
 
+def test_a_vehicle_that_claims_to_be_an_anchor_of_the_map_is_refused():
+    anchors = KnownAnchors('map', 1, 2)
+    anchors.learn_map(rows(1, 2))
+    with pytest.raises(MessageError, match='a vehicle claims id 2, which is that of an anchor'):
+        anchors.check(rows(2, 7, kind=VEHICLE))
+
+
 def test_claims_of_those_who_are_in_no_map_are_not_checked():
     anchors = KnownAnchors('map', 1, 2)
     anchors.check(rows(7, position=[[1, 2]]))

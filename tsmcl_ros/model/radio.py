@@ -25,7 +25,7 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
-from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Observation
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,9 @@ class EvidenceConfig(Config):
     range_calibration: str = param(
         'online', 'estimate scale and bias of the ranges while running, from range_scale and '
         'range_bias on', choices=('off', 'online'))
+    echo_guard: float = param(
+        1.0, 'how wary to be of knowledge that other vehicles may have from oneself: 1 lets it '
+        'flow from the more to the less certain only, 0 is no guard', low=0.0, high=100.0)
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
@@ -334,12 +337,13 @@ class Channel:
         """
         Learn from an epoch what the ranges are like, if that is switched on.
 
-        Vehicles that take most of their ranges for outliers are lost, and teach nothing.
+        Vehicles that take most of their ranges for outliers are lost, and teach nothing. Nor do
+        ranges to other vehicles, whose positions were made with the same calibration.
         """
         if self.switches.range_calibration == 'off' or self._asymmetric:
             # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
             return
-        std = self._range_std(observation)
+        std = np.where(observation.kind == ANCHOR, self._range_std(observation), np.inf)
         if self._floor > 0:
             ranges = (observation.heard & ~np.isnan(observation.range)).sum(axis=1)
             lost = ~(estimate.log_likelihood > math.log(self._floor) / 2 * ranges)

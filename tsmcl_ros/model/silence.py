@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Silence
+from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Silence, VEHICLE
 
 _TOLERANCE = 1.0  # m, how far an anchor may claim to be from where the map has it
 
@@ -110,7 +110,7 @@ class KnownAnchors:
 
     def check(self, observation: Observation) -> None:
         """
-        Hold that every anchor of the map is where the map has it.
+        Hold that every anchor of the map is where the map has it, and no vehicle claims to be it.
 
         Raises
         ------
@@ -119,6 +119,11 @@ class KnownAnchors:
         """
         index, there = self._map.find(observation.sender)
         vehicle, row = np.nonzero(there)
+        posing = np.flatnonzero(observation.kind[there] == VEHICLE)
+        if len(posing):
+            raise MessageError(
+                f'beacons: a vehicle claims id {observation.sender[there][posing[0]]}, which is '
+                'that of an anchor of the map, must have one of its own')
         place, claim = self._map.position[index[there]], observation.position[there]
         wrong = np.flatnonzero(np.abs(claim - place).max(axis=1) > _TOLERANCE)
         if len(wrong):
