@@ -190,6 +190,21 @@ class Observation:
         )
 
 
+    def of(self, index: Array) -> Observation:
+        """Return what these vehicles heard, padding, silence and all."""
+        silent = self.silent
+        if silent is not None:
+            silent = Silence(silent.known[index], silent.sender[index], silent.position[index],
+                             silent.max_range[index])
+        return replace(self, silent=silent, **{
+            name: getattr(self, name)[index] for name in _ROW_FIELDS})
+
+    def trimmed(self) -> Observation:
+        """Return the same observation without the columns that are padding for all vehicles."""
+        columns = self.heard.any(axis=0)
+        return replace(self, **{name: getattr(self, name)[:, columns] for name in _ROW_FIELDS})
+
+
 _ROW_FIELDS = tuple(
     field.name for field in fields(Observation) if field.name not in ('stamp', 'silent')
 )

@@ -26,8 +26,9 @@ SIGNIFICANCE = 1e-3
 
 # A tabu search is no Bayesian step; without it ts_mcl is a bootstrap filter, which has a limit.
 BAYESIAN: dict[str, dict[str, Any]] = {
-    'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'grid': {}, 'ekf': {}}
-PARTICLES = ('ts_mcl', 'mcl', 'mcb')
+    'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'grid': {}, 'ekf': {},
+    'cooperative': {}}
+PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'cooperative')
 
 
 def rng(seed: int = 1) -> np.random.Generator:

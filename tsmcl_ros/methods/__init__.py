@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from tsmcl_ros.methods.cooperative import Cooperative
 from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.methods.grid import Grid
 from tsmcl_ros.methods.mcb import Mcb
@@ -10,4 +11,10 @@ from tsmcl_ros.methods.ts_mcl import TsMcl
 
 # Each is an Estimator with a Config of its own, which is what keeps a common type from them.
 METHODS: dict[str, Any] = {
-    'ts_mcl': TsMcl, 'mcl': Mcl, 'mcb': Mcb, 'grid': Grid, 'ekf': Ekf}
+    'ts_mcl': TsMcl,
+    'mcl': Mcl,
+    'mcb': Mcb,
+    'grid': Grid,
+    'ekf': Ekf,
+    'cooperative': Cooperative,
+}

@@ -158,12 +158,38 @@ class Cloud:
         self.place_again(excluded, evidence, repair)
         return evidence.log_likelihood(self.particles)
 
+    def fill(self, vehicle: Array, candidates: Array, weights: Array) -> Array:
+        """
+        Draw the particles of some vehicles from candidates that the evidence has weighed.
+
+        Parameters
+        ----------
+        vehicle : (W,) int
+            Their indices.
+        candidates : (W, P, D) float32
+            Positions [m].
+        weights : (W, P) float32
+            Posterior weights; each vehicle's sum to 1.
+
+        Returns
+        -------
+        (W, N) int
+            Which candidates the particles are.
+        """
+        index = systematic_resample(weights, self.weights.shape[1], self.rng)
+        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
+            candidates, index[:, :, None], axis=1)
+        self._equalize(vehicle)
+        self.placed[vehicle] = True
+        self._drawn[vehicle] = True
+        return index
+
     def weigh(self, log_likelihood: Array) -> None:
         """Multiply the weights by the likelihood of the evidence (V, N)."""
         with np.errstate(divide='ignore'):
             log_weights = np.log(self.weights) + log_likelihood
         self.weights, self._log_likelihood = normalize(log_weights)
-        # Particles just drawn from this very evidence would count it twice.
+        # Particles drawn from this very evidence would count it twice.
         self._equalize(self._drawn)
         self._drawn[:] = False
 
@@ -212,13 +238,8 @@ class Cloud:
             flat, likelihood = repair(
                 flat, likelihood, owner, np.repeat(spread(candidates), many), evidence)
         weights, _ = normalize(likelihood.reshape(shape[:2]))
-        index = systematic_resample(weights, few, self.rng)
-        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
-            flat.reshape(shape), index[:, :, None], axis=1)
+        self.fill(vehicle, flat.reshape(shape), weights)
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
-        self._equalize(vehicle)
-        self.placed[vehicle] = True
-        self._drawn[vehicle] = True
         self._doubts[vehicle] = 0
 
     def _equalize(self, vehicle: Array | int) -> None:

@@ -8,7 +8,7 @@ exp() of them in [0, 1].
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -82,17 +82,29 @@ class References:
             squared += axis * axis
         if self.covariance is None:
             return np.sqrt(squared, out=squared), None
-        variance = sum(
-            delta[i] * delta[j] * self.covariance[i, j]
-            for i in range(len(delta)) for j in range(len(delta))
-        )
-        variance /= np.maximum(squared, np.float32(1e-6))
-        across = sum(self.covariance[i, i] for i in range(len(delta))) - variance
-        across = np.maximum(across, 0)
-        squared += across
+        across, variance = self.uncertainty(delta, squared)
+        return np.sqrt(squared + across), variance
+
+    def uncertainty(self, sight: Sequence[Array], squared: Array) -> tuple[Array, Array]:
+        """
+        Return the references' variance across lines of sight, and that of distances [m^2].
+
+        Parameters
+        ----------
+        sight : D arrays (V, E, P)
+            From the references [m].
+        squared : array that broadcasts to (V, E, P)
+            Their lengths, squared [m^2].
+        """
+        covariance, axes = self.covariance, range(len(sight))
+        assert covariance is not None
+        along = sum(sight[i] * sight[j] * covariance[i, j] for i in axes for j in axes)
+        along = along / np.maximum(squared, np.float32(1e-6))
+        across = np.maximum(sum(covariance[i, i] for i in axes) - along, 0)
         # In three dimensions it is spread over two directions.
-        spread = across * across / (2 * (len(delta) - 1) * np.maximum(squared, np.float32(1e-6)))
-        return np.sqrt(squared, out=squared), variance + spread
+        spread = across * across / (
+            2 * (len(axes) - 1) * np.maximum(squared + across, np.float32(1e-6)))
+        return across, np.asarray(along + spread)
 
     def at(self, vehicle: Array) -> References:
         """Return the references for a flat list of points of the vehicles (M,)."""

@@ -1,4 +1,4 @@
-"""Regions: boxes around references, and their intersection."""
+"""Regions: boxes around references and their intersection, arcs of directions."""
 
 from __future__ import annotations
 
@@ -83,3 +83,53 @@ def _corners(position: Array, reach: Array, rows: Array) -> tuple[Array, Array]:
     low = np.where(used, position - reach, -np.inf).max(axis=1, initial=-np.inf)
     high = np.where(used, position + reach, np.inf).min(axis=1, initial=np.inf)
     return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class Arcs:
+    """
+    Circular arcs of directions.
+
+    Attributes
+    ----------
+    middle, half : float32 arrays of one shape
+        Direction of the middle and half of the width [rad]; a half of pi is the whole circle.
+    """
+
+    middle: Array
+    half: Array
+
+    @classmethod
+    def circles(cls, shape: tuple[int, ...]) -> Arcs:
+        """Return arcs of all directions."""
+        return cls(np.zeros(shape, np.float32), np.full(shape, np.pi, np.float32))
+
+    @classmethod
+    def cover(cls, direction: Array, kept: Array) -> Arcs:
+        """
+        Return the smallest arcs (...) that cover those kept of directions (..., M) [rad].
+
+        Unlike an interval [min, max], an arc does not break across 0 and 2 pi. At least one
+        direction of each has to be kept.
+        """
+        some = np.take_along_axis(direction, kept.argmax(axis=-1)[..., None], axis=-1)
+        direction = np.sort(np.where(kept, direction, some) % (2 * np.pi), axis=-1)
+        gap = np.diff(direction, axis=-1, append=direction[..., :1] + 2 * np.pi)
+        widest = gap.argmax(axis=-1)[..., None]
+        half = np.pi - np.take_along_axis(gap, widest, axis=-1) / 2
+        # The arc begins behind the widest gap.
+        begin = np.take_along_axis(direction, (widest + 1) % direction.shape[-1], axis=-1)
+        return cls((begin + half)[..., 0].astype(np.float32), half[..., 0].astype(np.float32))
+
+    def at(self, index: Array) -> Arcs:
+        """Return the arcs of these rows of the first axis."""
+        return Arcs(self.middle[index], self.half[index])
+
+    def wider(self, margin: Array) -> Arcs:
+        """Return arcs that reach further on both sides [rad], at most to the whole circle."""
+        return Arcs(self.middle, np.minimum(self.half + margin, np.float32(np.pi)))
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Return directions (..., count) [rad], uniform in each."""
+        uniform = rng.random((*self.middle.shape, count), np.float32) * 2 - 1
+        return self.middle[..., None] + self.half[..., None] * uniform

@@ -13,7 +13,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.special import erfcx
-from tsmcl_ros.model.evidence import flat, heavy_tailed, References
+from tsmcl_ros.model.evidence import Evidence, flat, heavy_tailed, References
 from tsmcl_ros.types import Array
 
 
@@ -181,6 +181,13 @@ class Ranging:
         return replace(
             self, references=self.references.at(vehicle), errors=self.errors.at(vehicle),
             indicated=flat(self.indicated, vehicle), used=flat(self.used, vehicle))
+
+
+def without_ranges(evidence: Evidence) -> tuple[Ranging | None, Evidence]:
+    """Return the ranges of the evidence, None if there are none, and the rest of it."""
+    ranges = [factor for factor in evidence.factors if isinstance(factor, Ranging)]
+    rest = tuple(factor for factor in evidence.factors if not isinstance(factor, Ranging))
+    return ranges[0] if ranges else None, replace(evidence, factors=rest)
 
 
 def draw_asymmetric(short: Array, long: Array, shape: tuple[int, ...],

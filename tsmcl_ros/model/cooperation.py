@@ -1,0 +1,167 @@
+"""
+Filters that draw particles from around the references that a vehicle has ranges to.
+
+References are anchors, and neighbours that are localized already; what their covariance makes of
+a range is the evidence's to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from tsmcl_ros.config import param
+from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter, spread
+from tsmcl_ros.model.density import CloudDensity
+from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.particles import normalize
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.ranging import without_ranges
+from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
+
+_AT_ONCE = 1_000_000  # distances to references that are worked on at a time, for memory's sake
+
+
+@dataclass(frozen=True)
+class CooperationConfig(CloudConfig):
+    """How many samples are drawn."""
+
+    reference_samples: int = param(
+        100, 'samples around each reference, M', low=2, high=100_000)
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """
+    Candidates for the particles of W vehicles, drawn from what they heard.
+
+    Attributes
+    ----------
+    points : (W, P, 2) float32
+        [m].
+    valid : (W, P) bool
+        False where padded.
+    unsettled : (W, 2) float
+        How far the estimate moved where the search for them has not come to its end [m].
+    """
+
+    points: Array
+    valid: Array
+    unsettled: Array
+
+    def score(self, points: Array) -> tuple[Array, Array]:
+        """Return log-likelihoods (W, P) of points (W, P, 2), and ln of the density drawn from."""
+        raise NotImplementedError
+
+
+class CooperativeFilter(ParticleFilter):
+    """
+    What cooperative methods share: everything but what they propose.
+
+    A vehicle's predicted cloud joins the proposal as one source more: candidates of both are
+    weighed by belief and evidence over the density that they were drawn with (the balance
+    heuristic of Veach and Guibas 1995), so that nothing counts twice. A vehicle without any range
+    is localized by what it heard and did not hear, as by a bootstrap filter.
+
+    Attributes
+    ----------
+    settled : (V,) bool
+        Whether the search among the last ranges came to its end. A vehicle placed by ranges alone
+        that did not settle is no reference for others yet: its last move adds to its covariance.
+
+    Raises
+    ------
+    ConfigError
+        If the dimension is not 2.
+    """
+
+    def __init__(self, config: CooperationConfig, channel: Channel, motion: MotionModel,
+                 vehicles: int, dimension: int, rng: np.random.Generator):
+        if dimension != 2:
+            raise ConfigError(
+                f'dimension: {dimension} is not allowed for cooperative methods, must be 2')
+        super().__init__(config, channel, motion, vehicles, dimension, rng)
+        self.config = config
+        self.settled = np.zeros(vehicles, bool)
+
+    def propose(self, observation: Observation) -> Proposal:
+        """Draw candidates for vehicles that all have a range. Methods differ in this."""
+        raise NotImplementedError
+
+    def update(self, observation: Observation) -> Estimate:
+        """Draw the particles from around the references and from the prediction."""
+        evidence = self.channel.evidence(observation)
+        unsettled = np.zeros((len(self.settled), 2))
+        for vehicle in self._portions(observation):
+            proposal = self.propose(observation.of(vehicle).trimmed())
+            unsettled[vehicle] = self.locate(proposal, vehicle)
+        self.cloud.place(evidence)
+        log_likelihood = evidence.log_likelihood(self.cloud.particles)
+        self.cloud.weigh(self.cloud.recover(evidence, log_likelihood))
+        estimate = self.cloud.estimate(observation)
+        self.cloud.resample()
+        return replace(estimate, covariance=estimate.covariance
+                       + unsettled[:, :, None] * unsettled[:, None, :])
+
+    def locate(self, proposal: Proposal, vehicle: Array) -> Array:
+        """
+        Draw the particles of some vehicles (W,) from a proposal, and from their belief.
+
+        Returns
+        -------
+        (W, 2) float
+            How far the estimates of those without a belief moved to the last, unsettled [m].
+        """
+        self.settled[vehicle] = ~proposal.unsettled.any(axis=1)
+        placed = self.cloud.placed[vehicle]
+        target, drawn = proposal.score(proposal.points)
+        log_weights = np.where(proposal.valid, target - drawn, -np.inf)
+        new = vehicle[~placed]
+        weights, _ = normalize(log_weights[~placed])
+        self.cloud.fill(new, proposal.points[~placed], weights)
+        count = self.cloud.states.shape[1]
+        self.cloud.states[new, :, 2:] = self.cloud.motion.draw(len(new), count, self.rng)
+        if placed.any():
+            self._fuse(proposal, vehicle, placed, target, drawn)
+        return np.where(placed[:, None], 0, proposal.unsettled)
+
+    def _fuse(self, proposal: Proposal, vehicle: Array, placed: Array, target: Array,
+              drawn: Array) -> None:
+        """Draw the particles of the vehicles that are placed from both sources."""
+        cloud, old = self.cloud, vehicle[placed]
+        # Copies part, as where the filters without a proposal resample.
+        particles = cloud.particles[vehicle]
+        noise = self.rng.standard_normal(particles.shape, np.float32)
+        density = CloudDensity.of(particles[placed], cloud.weights[old], self.rng)
+        jitter = np.float32(cloud.config.jitter) * spread(particles)[:, None, None]
+        particles = particles + jitter * noise
+        own, drawn_own = proposal.score(particles)
+        points = np.concatenate([particles, proposal.points], axis=1)[placed]
+        target = np.concatenate([own, target], axis=1)[placed]
+        drawn = np.concatenate([drawn_own, drawn], axis=1)[placed]
+        count = particles.shape[1]
+        belief, parent = density.log_density(points)
+        proposed = proposal.valid[placed].sum(axis=1, keepdims=True)
+        share = count / (count + proposed)
+        log_weights = target + belief - np.logaddexp(
+            np.log(share) + belief, np.log1p(-share) + drawn)
+        # Weighted particles stand for more or less of the belief than their number says.
+        log_weights[:, :count] += np.log(count * cloud.weights[old] + np.float32(1e-30))
+        log_weights[:, count:][~proposal.valid[placed]] = -np.inf
+        weights, _ = normalize(log_weights)
+        parent[:, :count] = np.arange(count)
+        states = cloud.states[old]
+        index = cloud.fill(old, points, weights)
+        parent = np.take_along_axis(parent, index, axis=1)
+        cloud.states[old, :, 2:] = np.take_along_axis(states, parent[:, :, None], axis=1)[:, :, 2:]
+
+    def _portions(self, observation: Observation) -> list[Array]:
+        """Return the indices of the vehicles with ranges, in portions that fit into memory."""
+        ranging, _ = without_ranges(self.channel.evidence(observation))
+        if ranging is None:
+            return []
+        ranged = np.flatnonzero(ranging.used.any(axis=(1, 2)))
+        references = observation.sender.shape[1]
+        samples = references * self.config.reference_samples + self.cloud.weights.shape[1]
+        size = max(_AT_ONCE // (references * samples), 1)
+        return [ranged[first:first + size] for first in range(0, len(ranged), size)]
