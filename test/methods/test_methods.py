@@ -26,9 +26,9 @@ SIGNIFICANCE = 1e-3
 
 # A tabu search is no Bayesian step; without it ts_mcl is a bootstrap filter, which has a limit.
 BAYESIAN: dict[str, dict[str, Any]] = {
-    'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'grid': {}, 'ekf': {},
-    'cooperative': {}}
-PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'cooperative')
+    'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'r_mcl': {}, 'grid': {},
+    'ekf': {}, 'cooperative': {}}
+PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'r_mcl', 'cooperative')
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -411,6 +411,6 @@ def test_what_was_heard_is_left_as_it_was(method: str) -> None:
 
 
 @pytest.mark.parametrize(('method', 'count'), [
-    ('ts_mcl', 200), ('mcl', 200), ('mcb', 200), ('grid', 0)])
+    ('ts_mcl', 200), ('mcl', 200), ('mcb', 200), ('r_mcl', 200), ('grid', 0)])
 def test_particles_can_be_looked_at(method: str, count: int) -> None:
     assert make(method, vehicles=3).particles.shape == (3, count, 2)

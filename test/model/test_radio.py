@@ -711,3 +711,22 @@ def test_calibration_that_is_off_learns_nothing() -> None:
     radio = channel(range_calibration='off')
     ranged_epochs(radio.calibrate)
     assert radio.calibration.scale == 1.0
+
+
+def test_a_disk_radio_that_measures_rssi_is_scored_by_it_beside_its_edge() -> None:
+    observation = Observation.empty(1, 1, 2, 0.0)
+    observation.sender[:] = 0
+    observation.rssi[:] = -80.0
+    points = np.array([[[20.0, 0.0], [100.0, 0.0], [160.0, 0.0]]], np.float32)
+    found = {}
+    for measures in (False, True):
+        radio = Channel(
+            RadioConfig(radio_range=150.0, edge_softness=1.0, measure_rssi=measures,
+                        path_loss_exponent=2.0, sigma_db=4.0),
+            EvidenceConfig(outlier_fraction=0.0))
+        found[measures] = radio.evidence(observation).log_likelihood(points)[0]
+    np.testing.assert_allclose(found[False], [0, 0, -10], atol=1e-3)
+    # At 20 m the mean is -66 dBm, at 100 m -80 dBm.
+    assert found[True][0] == pytest.approx(-0.5 * ((-80 + 40 + 20 * np.log10(20)) / 4) ** 2, 1e-3)
+    assert found[True][1] == pytest.approx(0, abs=1e-3)
+    assert found[True][2] < -10

@@ -7,6 +7,7 @@ from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.methods.grid import Grid
 from tsmcl_ros.methods.mcb import Mcb
 from tsmcl_ros.methods.mcl import Mcl
+from tsmcl_ros.methods.r_mcl import RMcl
 from tsmcl_ros.methods.ts_mcl import TsMcl
 
 # Each is an Estimator with a Config of its own, which is what keeps a common type from them.
@@ -14,6 +15,7 @@ METHODS: dict[str, Any] = {
     'ts_mcl': TsMcl,
     'mcl': Mcl,
     'mcb': Mcb,
+    'r_mcl': RMcl,
     'grid': Grid,
     'ekf': Ekf,
     'cooperative': Cooperative,

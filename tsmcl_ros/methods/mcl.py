@@ -30,6 +30,7 @@ class Mcl(RejectionFilter):
     def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
         """Predict from random parents, whose weight is inherited."""
         size, motion = self.cloud.states.shape[1], self._motion
+        inherited = self.cloud.weights.copy()
 
         def redraw(owner: Array) -> tuple[Array, Array, Array]:
             parent = self.rng.integers(size, size=len(owner))
@@ -38,6 +39,6 @@ class Mcl(RejectionFilter):
                 own = Motion(motion.elapsed, motion.displacement[owner], motion.turn[owner])
             states = self.cloud.motion.predict(
                 self._parents[owner, parent][:, None], own, self.rng)[:, 0]
-            return states, self._inherited[owner, parent], np.ones(len(owner), bool)
+            return states, inherited[owner, parent], np.ones(len(owner), bool)
 
         return redraw

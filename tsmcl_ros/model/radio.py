@@ -69,7 +69,8 @@ class RadioConfig(Config):
     range_long_offset: float = param(
         0.21, 'what comes to it at any range', unit='m', above=0.0)
     measure_range: bool = param(False, 'the simulated radio measures ranges')
-    measure_rssi: bool = param(False, 'the simulated radio measures rssi')
+    measure_rssi: bool = param(
+        False, 'the simulated radio measures rssi; that of a disk radio only counts if so')
 
     def check(self) -> None:
         """Hold that every anchor's path loss is one."""
@@ -84,7 +85,8 @@ class EvidenceConfig(Config):
     silence: str = param(
         'map', 'an anchor not heard is far: never, if heard before, if in the anchor map',
         choices=('none', 'memory', 'map'))
-    use_rssi: bool = param(True, 'rssi counts (lognormal model)')
+    use_rssi: bool = param(
+        True, 'rssi counts (lognormal model, or a disk radio that measures it)')
     use_range: bool = param(True, 'measured ranges count')
     range_calibration: str = param(
         'online', 'estimate scale and bias of the ranges while running, from range_scale and '
@@ -271,17 +273,19 @@ class Channel:
         """
         Return what an observation says, split into factors.
 
-        A beacon with a range adds a ranging term to its heard term; a beacon with rssi, under
-        the lognormal model, has a power term instead, which holds the same information. A
-        vehicle that heard nothing gets no silence either: its radio may be off.
+        A beacon with a range adds a ranging term to its heard term, and so does one with rssi of
+        a disk radio that measures it; under the lognormal model the power term stands instead of
+        the heard term, as it holds the same information. A vehicle that heard nothing gets no
+        silence either: its radio may be off.
         """
         switches = self.switches
         rows = observation.heard
         heard = rows.any(axis=1)
         ranged = rows & ~np.isnan(observation.range) & switches.use_range
+        lognormal = self.radio.radio_model == 'lognormal'
         powered = self.powered(observation)
         radius = self.radius(observation.max_range, observation.sender)
-        bounded = rows & (radius > 0) & ~powered & switches.use_heard
+        bounded = rows & (radius > 0) & ~(powered & lognormal) & switches.use_heard
 
         factors: list[Factor] = []
         terms = np.zeros(len(heard), np.float32)
@@ -331,7 +335,8 @@ class Channel:
     def powered(self, observation: Observation) -> Array:
         """Return the rows (V, K) bool whose rssi counts."""
         return observation.heard & ~np.isnan(observation.rssi) & (
-            self.switches.use_rssi and self.radio.radio_model == 'lognormal')
+            self.switches.use_rssi
+            and (self.radio.radio_model == 'lognormal' or self.radio.measure_rssi))
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
         """

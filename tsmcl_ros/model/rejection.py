@@ -16,7 +16,7 @@ import numpy as np
 from tsmcl_ros.config import param
 from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
 from tsmcl_ros.model.evidence import Evidence
-from tsmcl_ros.model.kernel import choose
+from tsmcl_ros.model.kernel import choose, Kernel
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
@@ -50,7 +50,7 @@ class RejectionFilter(ParticleFilter):
         self.config = config
         self.draws = np.zeros(vehicles, np.int64)
         self._motion = Motion(0.0)
-        self._parents, self._inherited = self.cloud.states, self.cloud.weights
+        self._parents = self.cloud.states
         self._predicted = np.zeros(vehicles, bool)
 
     def start(self, prior: Prior) -> None:
@@ -123,7 +123,6 @@ class RejectionFilter(ParticleFilter):
         """
         states, weights, dimension = self.cloud.states, self.cloud.weights, self.cloud.dimension
         trial = Trial(evidence.presence, evidence.measured, threshold, self.rng)
-        self._inherited = weights.copy()
         self.draws = np.where(which, weights.shape[1], 0)
         rejected = which[:, None] & ~trial.passed(self.cloud.particles)
         redraw: Redraw | None = None
@@ -157,6 +156,10 @@ class RejectionFilter(ParticleFilter):
             states[owner, index] = states[owner, survivor]
             weights[owner, index] = weights[owner, survivor]
 
+    def kernel(self) -> Kernel:
+        """Return where the last motion may have led."""
+        return self.cloud.motion.kernel(self._parents, self._motion, self.rng)
+
     def redraw_in_boxes(self, low: Array, high: Array, weights: Array) -> Redraw:
         """
         Return redraws within boxes, exactly as probable as the motion makes them there.
@@ -170,8 +173,8 @@ class RejectionFilter(ParticleFilter):
         weights : (V,) float
             Of every draw.
         """
-        kernel = self.cloud.motion.kernel(self._parents, self._motion, self.rng)
-        mass = self._inherited * kernel.mass(low, high)
+        kernel = self.kernel()
+        mass = self.cloud.weights * kernel.mass(low, high)
         possible = mass.any(axis=1)
         columns = self.cloud.states.shape[2]
 
