@@ -37,6 +37,8 @@ from tsmcl_ros.types import (
 
 OK, STALE, LOST = 0, 1, 2
 
+# Methods that are made for outages, and so predict through them on their own.
+_PREDICTS_OUTAGES = ('grey_ekf',)
 # Who is not told of any time for this long [s] cannot say where its vehicles have gone.
 _LONGEST_LEAP = 3600.0
 
@@ -321,6 +323,7 @@ class Localizer:
         prediction stays; and so it does for vehicles that are said to move at random.
         """
         if (self.config.outage_predictor == 'none'
+                or self.config.method in _PREDICTS_OUTAGES
                 or self.motion_config.motion_model == 'random'):
             return estimate
         self._outage.forget(estimate.reinitialized)

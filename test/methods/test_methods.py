@@ -27,8 +27,9 @@ SIGNIFICANCE = 1e-3
 # A tabu search is no Bayesian step; without it ts_mcl is a bootstrap filter, which has a limit.
 BAYESIAN: dict[str, dict[str, Any]] = {
     'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'r_mcl': {}, 'grid': {},
-    'ekf': {}, 'cooperative': {}}
+    'ekf': {}, 'cooperative': {}, 'grey_ekf': {}}
 PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'r_mcl', 'cooperative')
+GAUSSIAN = ('ekf', 'grey_ekf')
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -42,7 +43,7 @@ def make(method: str, radio: dict[str, Any] | None = None, motion: dict[str, Any
     if method == 'grid':
         settings = {'grid_cell': cell, 'grid_x_min': area[0], 'grid_x_max': area[1],
                     'grid_y_min': area[0], 'grid_y_max': area[1], **settings}
-    elif method == 'ekf':
+    elif method in GAUSSIAN:
         settings = {'exclusion': 25.0, **settings}
     else:
         settings = {'jitter': 0.0, 'resample_threshold': 0.5, 'exclusion': 25.0,
@@ -206,7 +207,7 @@ def test_standing_still_two_anchors_teach_nothing_new(method: str) -> None:
         last = filter_.update(listen(anchors(1000.0), vehicles))
     # Heard 16 times over, an edge of 1 m has moved 3 m further in; the rest is as above. The tails
     # of a Gaussian, which reach beyond the lens, are cut off again and again.
-    rel = 0.15 if method == 'ekf' else 0.04
+    rel = 0.15 if method in GAUSSIAN else 0.04
     assert rms_radius(last).mean() == pytest.approx(lens(1000.0), rel=rel)
 
 
@@ -411,6 +412,7 @@ def test_what_was_heard_is_left_as_it_was(method: str) -> None:
 
 
 @pytest.mark.parametrize(('method', 'count'), [
-    ('ts_mcl', 200), ('mcl', 200), ('mcb', 200), ('r_mcl', 200), ('grid', 0)])
+    ('ts_mcl', 200), ('mcl', 200), ('mcb', 200), ('r_mcl', 200), ('grid', 0),
+    ('grey_ekf', 0)])
 def test_particles_can_be_looked_at(method: str, count: int) -> None:
     assert make(method, vehicles=3).particles.shape == (3, count, 2)

@@ -4,6 +4,7 @@ from typing import Any
 
 from tsmcl_ros.methods.cooperative import Cooperative
 from tsmcl_ros.methods.ekf import Ekf
+from tsmcl_ros.methods.grey_ekf import GreyEkf
 from tsmcl_ros.methods.grid import Grid
 from tsmcl_ros.methods.mcb import Mcb
 from tsmcl_ros.methods.mcl import Mcl
@@ -19,4 +20,5 @@ METHODS: dict[str, Any] = {
     'grid': Grid,
     'ekf': Ekf,
     'cooperative': Cooperative,
+    'grey_ekf': GreyEkf,
 }

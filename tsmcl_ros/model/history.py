@@ -45,11 +45,6 @@ class History:
         self.variance[which] = np.inf
         self.stamp[which] = -np.inf
 
-    @property
-    def time(self) -> float:
-        """The time of the last slot [s]."""
-        return self._slot * SLOT
-
     def learn(self, stamp: float, mean: Array, covariance: Array, which: Array) -> Array:
         """
         Take in where these vehicles (V,) bool are, unless that is not finite.
@@ -73,11 +68,14 @@ class History:
         rows = np.flatnonzero(which & np.isfinite(variance))
         if not len(rows):
             return rows
-        since = np.where(self.stamp[rows] < stamp - BRIDGED, stamp, self.stamp[rows])
+        since = self.stamp[rows]
+        # What is not bridged fills but a slot of just this time.
+        since = np.where(since < stamp - BRIDGED, np.nextafter(stamp, -np.inf), since)
         recent = min(int(BRIDGED / SLOT) + 1, self.position.shape[1])
         time = (self._slot - np.arange(recent)[::-1]) * SLOT
         inside = time > since[:, None]
-        share = (time - since[:, None]) / np.maximum(stamp - since[:, None], 1e-9)
+        passed = np.maximum(stamp - since[:, None], 1e-12)
+        share = np.minimum((time - since[:, None]) / passed, 1)
         before = self.mean[rows]
         between = before[:, None] + share[:, :, None] * (mean[rows] - before)[:, None]
         self.position[rows, -recent:] = np.where(
@@ -94,6 +92,27 @@ class History:
         change = self.mean[rows] - self.position[rows, -1 - base]
         known = np.isfinite(self.variance[rows, -1 - base])
         return np.asarray(np.where(known[:, None], change / elapsed[:, None], np.nan))
+
+    def last(self, count: int) -> tuple[Array, Array, Array]:
+        """
+        Return the last positions that are known.
+
+        Returns
+        -------
+        position : (V, count, D) float
+            [m].
+        time : (V,) float
+            Of the last of them [s].
+        known : (V,) bool
+            Who has as many in a row.
+        """
+        there = np.isfinite(self.variance)
+        size = there.shape[1]
+        end = size - 1 - there[:, ::-1].argmax(axis=1)
+        slot = np.maximum(end[:, None] - np.arange(count)[::-1], 0)
+        known = np.take_along_axis(there, slot, axis=1).all(axis=1) & (end >= count - 1)
+        position = np.take_along_axis(self.position, slot[:, :, None], axis=1)
+        return position, (self._slot + end + 1 - size) * SLOT, known
 
     def pass_time(self, stamp: float) -> None:
         """Let the last slot be the one of this time [s]."""
