@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 import math
 import sys
@@ -13,7 +14,9 @@ from rclpy.publisher import Publisher
 from tsmcl_ros import messages
 from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.relay import Poses, RelayConfig
 from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes.reports import Reports
 from tsmcl_ros.types import Array, MessageError, Observation, Odometry
 from tsmcl_ros.world import anchor_table, CONFIGS, Epoch, make_mobility, World, WorldConfig
 
@@ -33,7 +36,13 @@ class SimulatorConfig(Config):
     beacon_timeout: float = param(
         0.5, 'longest wait for the beacon of an anchor of the map, in real time', unit='s',
         above=0, high=60)
-    global_frame_id: str = param('map', 'frame of the ground truth')
+    cooperation: bool = param(
+        False, 'vehicles broadcast the poses that their localizers publish, as references of kind '
+        'vehicle for others')
+    pose_timeout: float = param(
+        2.0, 'longest wait for the pose of a vehicle that hears beacons, in real time', unit='s',
+        above=0, high=60)
+    global_frame_id: str = param('map', 'frame of the ground truth and of the poses')
     seed: int = param(1, 'of movement, odometry and radio', low=0)
 
 
@@ -49,7 +58,7 @@ class Simulator(runtime.Node):
     Simulated world: moves vehicles and passes on to them the beacons that anchors transmit.
 
     Publishes /clock and for each vehicle ground_truth, beacons and odom. Starts when it knows an
-    /anchor_map.
+    /anchor_map. With cooperation it listens to each vehicle's pose, and passes that on too.
     """
 
     default_name = 'simulator'
@@ -67,12 +76,15 @@ class Simulator(runtime.Node):
         # As make_world spawns them: a seed means the same there, anchors included.
         mobility_rng, _, rng = np.random.default_rng(self._config.seed).spawn(3)
         mobility = make_mobility(self.settings, mobility_rng)
+        relaying = build(RelayConfig, self.settings)
         self._world = World(
             world, Channel(build(SimulatedRadioConfig, self.settings)), mobility,
-            anchor_table(np.empty((0, 3))), rng,
+            anchor_table(np.empty((0, 3))), rng, relaying=relaying,
         )
         self._duration = min(self._config.duration or math.inf, mobility.duration)
-        self._air = Air()
+        exchange = self._config.cooperation or relaying.relay_hops > 1
+        self._air = Air(relaying.identities(world.vehicles) if exchange else range(0))
+        self._reports = Reports(world.vehicles, self._config.global_frame_id)
         # Discovery keeps this order, and anchors keep the same: who has sent us its map will be
         # heard from its first beacon on.
         self.listen('/beacons', messages.POINT_CLOUD, self._air.beacon, runtime.SENSOR_DATA)
@@ -87,6 +99,11 @@ class Simulator(runtime.Node):
             )
             for i in range(world.vehicles)
         ), strict=True)
+
+        if self._config.cooperation:
+            for i in range(world.vehicles):
+                self.listen(f'/veh_{i}/pose', messages.POSE, partial(self._reports.take, i),
+                            runtime.LATCHED_INPUT)
 
     def run(self) -> None:
         """Simulate one beacon period after the other, each at its time."""
@@ -120,7 +137,8 @@ class Simulator(runtime.Node):
         """
         Let one period pass, in step with the anchors, which transmit when the clock says so.
 
-        Waiting for them keeps a simulation the same at any rate and under any load.
+        Waiting for them, and for the poses of the last period where vehicles cooperate, keeps a
+        simulation the same at any rate and under any load.
         """
         self._air.clear(stamp)
         if not self._await_beacons(messages.encode_clock(stamp)):
@@ -128,7 +146,19 @@ class Simulator(runtime.Node):
             self.get_logger().warning(
                 f'anchors {silent} did not transmit at {stamp:g} s and are no longer waited for'
             )
-        runtime.publish_all(self._messages(self._world.step(self._air.senders())))
+        epoch = self._world.step(self._air.senders(), self._await_poses())
+        self._reports.expect(epoch.stamp, epoch.observation.heard.any(axis=1))
+        runtime.publish_all(self._messages(epoch))
+
+    def _await_poses(self) -> Poses | None:
+        """Return the poses of the last period, once they have come; None without cooperation."""
+        if not self._config.cooperation:
+            return None
+        if not self.spin(self._reports.is_complete, self._config.pose_timeout):
+            silent = ', '.join(map(str, self._reports.give_up()))
+            self.get_logger().warning(
+                f'vehicles {silent} have sent no pose and are no longer waited for')
+        return self._reports.poses(self._world.mobility.state.position.shape[1])
 
     def _await_beacons(self, clock: bytes) -> bool:
         """Show the time until all anchors have transmitted; who came late may have missed it."""
@@ -153,9 +183,17 @@ class Simulator(runtime.Node):
 
 
 class Air:
-    """What is on the air in one beacon period, and what is expected to be."""
+    """
+    What is on the air in one beacon period, and what is expected to be.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    reserved : range
+        Identities that anchors may not have, as vehicles have them.
+    """
+
+    def __init__(self, reserved: range) -> None:
+        self._reserved = reserved
         self.anchors: set[int] = set()
         self._awaited: set[int] = set()
         self._beacons: list[Observation] = []
@@ -165,6 +203,7 @@ class Air:
         """Expect the anchors of an anchor map."""
         table, _ = messages.decode_beacons(data)
         found = set(table.sender[0].tolist())
+        self._refuse_reserved(found)
         self.anchors |= found
         self._awaited |= found
 
@@ -173,6 +212,7 @@ class Air:
         beacon, _ = messages.decode_beacons(data)
         if beacon.sender.size != 1:
             raise MessageError(f'{beacon.sender.size} rows are not allowed, a beacon has one')
+        self._refuse_reserved(beacon.sender[0].tolist())
         if abs(beacon.stamp - self._stamp) < 1e-6:
             self._beacons.append(beacon)
 
@@ -203,6 +243,13 @@ class Air:
             for name in ('sender', 'kind', 'hops', 'position', 'covariance'):
                 getattr(table, name)[0, k] = getattr(beacon, name)[0, 0]
         return table
+
+    def _refuse_reserved(self, identities: Iterable[int]) -> None:
+        taken = [identity for identity in identities if identity in self._reserved]
+        if taken:
+            raise MessageError(
+                f'anchor id {min(taken)} is not allowed, vehicles have {self._reserved[0]} to '
+                f'{self._reserved[-1]} by vehicle_id_offset')
 
     def _missing(self) -> set[int]:
         return self._awaited - {int(beacon.sender[0, 0]) for beacon in self._beacons}
