@@ -49,12 +49,28 @@ def test_it_prints_a_table_and_verdicts(capsys, tmp_path):
         assert text in printed
 
 
-def test_all_runs_every_experiment(capsys, tmp_path, monkeypatch):
-    seen = []
+def test_all_runs_every_experiment_and_writes_their_page(tmp_path, monkeypatch):
+    seen, written = [], []
     monkeypatch.setattr('tsmcl_ros.scripts.experiment._run', lambda name, *_: seen.append(name))
+    monkeypatch.setattr('tsmcl_ros.scripts.experiment.write_reproduction',
+                        lambda *arguments: written.append(arguments) or [])
 
     assert main(['all', '--out', str(tmp_path)]) == 0
     assert seen == list(EXPERIMENTS)
+    assert written == [(tmp_path, seen, tmp_path / 'reproduction.md')]
+
+
+def test_the_page_can_be_written_again_elsewhere_without_running_anything(quick, capsys, tmp_path):
+    page = tmp_path / 'docs' / 'claims.md'
+
+    assert main(['report', '--out', str(quick), '--report', str(page)]) == 0
+    assert f'## {NAME}' in page.read_text()
+    assert str(page) in capsys.readouterr().out
+
+
+def test_a_page_of_nothing_is_refused(capsys, tmp_path):
+    assert main(['report', '--out', str(tmp_path)]) == 1
+    assert 'holds no results' in capsys.readouterr().err
 
 
 def test_the_list_names_every_experiment(capsys):

@@ -17,6 +17,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
     run_experiment,
     write_results,
 )
+from tsmcl_ros.evaluation.reproduction import write_reproduction
 from tsmcl_ros.scripts.cli import align, run_script
 
 
@@ -32,11 +33,18 @@ def _experiment(arguments: Sequence[str] | None) -> None:
         print(align([[name, full.title] for name, (full, _) in EXPERIMENTS.items()]))
         return
     if options.name is None:
-        parser.error(f'an experiment is missing, must be one of all, {", ".join(EXPERIMENTS)}')
-    prepare_folder(options.out)
-    for name in EXPERIMENTS if options.name == 'all' else [options.name]:
-        full, quick = EXPERIMENTS[name]
-        _run(name, quick if options.quick else full, options)
+        parser.error('an experiment is missing, must be one of all, report, '
+                     f'{", ".join(EXPERIMENTS)}')
+    if options.name != 'report':
+        prepare_folder(options.out)
+        for name in EXPERIMENTS if options.name == 'all' else [options.name]:
+            full, quick = EXPERIMENTS[name]
+            _run(name, quick if options.quick else full, options)
+    if options.name in ('all', 'report'):
+        page = options.report or options.out / 'reproduction.md'
+        missing = write_reproduction(options.out, list(EXPERIMENTS), page)
+        print(f'{page} sets the claims beside what was measured'
+              + (f', but for {", ".join(missing)}' if missing else ''))
 
 
 def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None:
@@ -71,8 +79,10 @@ def _parser() -> argparse.ArgumentParser:
         prog='experiment',
         description='Try a claim of the papers: print what was measured, and write NAME.csv '
                     '(rows), NAME.json (settings, seed, versions, findings) and NAME.png.')
-    parser.add_argument('name', nargs='?', metavar='NAME', choices=['all', *EXPERIMENTS],
-                        help=f'one of all, {", ".join(EXPERIMENTS)}')
+    parser.add_argument('name', nargs='?', metavar='NAME',
+                        choices=['all', 'report', *EXPERIMENTS],
+                        help='all; report, which only writes the page of all results that are '
+                             f'there; or one of {", ".join(EXPERIMENTS)}')
     parser.add_argument('--list', action='store_true', help='say what there is, and end')
     parser.add_argument('--quick', action='store_true',
                         help='a small version that takes seconds and proves nothing')
@@ -84,6 +94,9 @@ def _parser() -> argparse.ArgumentParser:
                         help='seed of all randomness (default: %(default)s)')
     parser.add_argument('--out', type=Path, default=Path('experiments'), metavar='DIR',
                         help='folder for the files (default: %(default)s)')
+    parser.add_argument('--report', type=Path, metavar='FILE',
+                        help='the page that all and report write (default: reproduction.md in '
+                             'the folder)')
     parser.add_argument('--quiet', action='store_true', help='show no progress')
     return parser
 

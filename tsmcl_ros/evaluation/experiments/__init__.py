@@ -8,6 +8,6 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
     'ts_mcl_convergence': (
         TsMclConvergence(),
         TsMclConvergence(
-            runs=2, vehicles=8, epochs=20, bootstrap=((200, 2000), (1000, 10_000)),
-            grid_cell=100.0, exact_vehicles=4, lens_vehicles=20, lens_epochs=5)),
+            runs=2, vehicles=6, epochs=8, bootstrap=((50, 500), (200, 2000)),
+            grid_cell=100.0, exact_vehicles=2, lens_vehicles=10, lens_epochs=4)),
 }
