@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import get_typestore, Stores
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField, Range
+from std_msgs.msg import UInt32
 from tsmcl_ros import cdr, messages
 from tsmcl_ros.types import MessageError, Observation, Odometry
 
@@ -655,6 +656,22 @@ def test_particles_read_the_same_in_rclpy_and_rosbags(count, dimension):
         assert all(pose.orientation.w == 1.0 for pose in found.poses)
 
 
+# --- periods ---------------------------------------------------------------------------------
+
+@given(st.integers(1, 2**31 - 1))
+def test_a_period_factor_is_what_ros_reads(factor):
+    data = messages.encode_period(factor)
+    assert deserialize_message(data, UInt32).data == factor
+    assert messages.decode_period(serialize_message(UInt32(data=factor))) == factor
+
+
+@pytest.mark.parametrize('factor', [0, 2**31, 2**32 - 1])
+def test_a_period_factor_that_is_none_is_refused(factor):
+    with pytest.raises(MessageError, match=f'period factor {factor} is not allowed, must be '
+                                           'from 1 to 2147483647'):
+        messages.decode_period(messages.encode_period(factor))
+
+
 # --- damage ----------------------------------------------------------------------------------
 
 DECODERS = {
@@ -663,6 +680,7 @@ DECODERS = {
     messages.POSE: messages.decode_pose,
     messages.RANGE: messages.decode_range,
     messages.CLOCK: messages.decode_clock,
+    messages.UINT32: messages.decode_period,
     'odometries': lambda data: messages.decode_odometries([data]),
     'poses': lambda data: messages.decode_poses([data]),
 }
@@ -672,6 +690,7 @@ VALID = {
     messages.POSE: pose_message(),
     messages.RANGE: messages.encode_range(messages.RangeReading(3.5, 'n', 7.5, 0.5, 50.0, 0.25)),
     messages.CLOCK: messages.encode_clock(1.5),
+    messages.UINT32: messages.encode_period(5),
     'odometries': odometry_at(1.0)[0],
     'poses': pose_message(),
 }

@@ -54,12 +54,17 @@ class Endpoint:
         raises MessageError if it has to be rejected.
     outputs : list of str
         Topic of each vehicle's pose.
+    period_outputs : list of str
+        Topic of each vehicle's wanted beacon period; none if nobody wants any.
     """
 
     def __init__(self, localizer: Localizer, names: Sequence[str], frame_id: str = 'map'):
         self.localizer = localizer
         self.frame_id = frame_id
         self.outputs = [_topic(name, 'pose') for name in names]
+        self.period_outputs = [
+            _topic(name, 'beacon_period') for name in names if localizer.asks_period]
+        self._periods = np.zeros(len(names), int)
         self.inputs: dict[str, tuple[str, Callable[[bytes], None]]] = {
             '/anchor_map': (messages.POINT_CLOUD, self._anchor_map)}
         for vehicle, name in enumerate(names):
@@ -78,6 +83,15 @@ class Endpoint:
                 estimate.stamp, self.frame_id, estimate.mean[vehicle],
                 estimate.covariance[vehicle], float(yaw[vehicle]),
                 float(estimate.rotation_variance[vehicle]))
+
+    def periods(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
+        """Yield the index of each vehicle that wants another beacon period now, and which."""
+        if estimate.period_factor is None:
+            return
+        changed = estimate.period_factor != self._periods
+        self._periods = estimate.period_factor
+        for vehicle in np.flatnonzero(changed).tolist():
+            yield vehicle, messages.encode_period(int(estimate.period_factor[vehicle]))
 
     def _anchor_map(self, data: bytes) -> None:
         anchors, frame_id = messages.decode_beacons(data)

@@ -21,6 +21,7 @@ from tsmcl_ros.model.echo import guard, refuse_certainty
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
+from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import (
@@ -180,6 +181,11 @@ class Localizer:
         if self._method is None:
             return np.zeros((self.vehicles, 0, self.config.dimension), np.float32)
         return self._method.particles
+
+    @property
+    def asks_period(self) -> bool:
+        """Whether the method says how often vehicles want beacons."""
+        return isinstance(self.method_config, PeriodConfig) and self.method_config.asks
 
     @property
     def health(self) -> Health:

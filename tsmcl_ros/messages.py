@@ -22,6 +22,7 @@ from tsmcl_ros import cdr
 from tsmcl_ros.types import (
     ANCHOR,
     Array,
+    MAX_PERIOD_FACTOR,
     MessageError,
     Observation,
     Odometry,
@@ -35,6 +36,7 @@ POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
 RANGE = 'sensor_msgs/msg/Range'
 CLOCK = 'rosgraph_msgs/msg/Clock'
+UINT32 = 'std_msgs/msg/UInt32'
 
 UNMEASURED = 1e6
 """Variance [m^2, rad^2] that stands for 'not measured' in a pose's covariance."""
@@ -361,6 +363,24 @@ def decode_clock(data: bytes) -> float:
     stamp = _join(*reader.values('iI'))
     reader.finish()
     return stamp
+
+
+def encode_period(factor: int) -> bytes:
+    """Return a message that asks for a beacon every so many periods."""
+    writer = cdr.Writer()
+    writer.values('I', factor)
+    return writer.finish()
+
+
+def decode_period(data: bytes) -> int:
+    """Return how many periods a vehicle wants between beacons; raise MessageError if none."""
+    reader = cdr.Reader(data)
+    (factor,) = reader.values('I')
+    reader.finish()
+    if not 1 <= factor <= MAX_PERIOD_FACTOR:
+        raise MessageError(f'period factor {factor} is not allowed, must be from 1 to '
+                           f'{MAX_PERIOD_FACTOR}')
+    return int(factor)
 
 
 # --- stamps and headers --------------------------------------------------------------------

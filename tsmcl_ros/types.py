@@ -18,6 +18,8 @@ Array = npt.NDArray[Any]
 
 ANCHOR, VEHICLE = 0, 1
 PADDED = -1
+# Most base periods that may lie between two beacons.
+MAX_PERIOD_FACTOR = 2 ** 31 - 1
 
 
 class TsmclError(Exception):

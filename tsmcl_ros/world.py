@@ -24,6 +24,7 @@ from tsmcl_ros.model.mobility import (
     State,
     wrap,
 )
+from tsmcl_ros.model.period import Schedule
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
 from tsmcl_ros.types import Array, ConfigError, Observation, PADDED
@@ -138,6 +139,11 @@ class World:
         The time now [s]; the first epoch is one period later.
     relaying : RelayConfig, optional
         What vehicles transmit themselves.
+
+    Attributes
+    ----------
+    schedule : Schedule
+        How often each vehicle gets beacons of anchors.
     """
 
     def __init__(
@@ -159,6 +165,7 @@ class World:
         self._odometry = WheelOdometry(config, mobility.state, odometry_rng)
         self._odometry_since = deque(
             [self._odometry.position], math.ceil(self._relaying.pose_max_age) + 1)
+        self.schedule = Schedule(len(mobility.state.yaw))
         self._begin = stamp
         self._periods = 0
 
@@ -194,6 +201,7 @@ class World:
         senders = self.anchors if senders is None else senders
         observation = receive(self._channel, truth.position, senders, self._radio_rng, stamp,
                               self._config.drop_rate)
+        observation = self.schedule.pass_on(observation)
         if poses is not None or self._relaying.relay_hops > 1:
             self._relaying.refuse_anchors(senders, len(truth.yaw))
             observation = self._exchange(observation, truth.position, poses)

@@ -202,7 +202,7 @@ def test_the_period_follows_the_residual() -> None:
     later = filter_.update(off)
     np.testing.assert_array_equal(later.period_factor, [15, 1])
     heard_nothing = filter_.update(Observation.empty(2, 0, 3, 9.0))
-    np.testing.assert_array_equal(heard_nothing.period_factor, [1, 1])
+    np.testing.assert_array_equal(heard_nothing.period_factor, [15, 1])
 
 
 def test_nobody_asks_for_a_period_unless_told_to() -> None:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from tsmcl_ros.model.period import AirCost, check_factor, MAX_FACTOR, omega, PeriodConfig
-from tsmcl_ros.types import ConfigError, MessageError
+from tsmcl_ros.model.period import AirCost, omega, PeriodConfig, Schedule
+from tsmcl_ros.types import ConfigError, Observation
 
 
 @pytest.mark.parametrize(('residual', 'expected'), [
@@ -44,7 +44,9 @@ def test_larger_q_means_a_larger_factor_and_larger_alpha_a_wider_curve() -> None
 
 
 def test_a_fixed_period_is_asked_for_unless_it_is_every_one() -> None:
-    assert PeriodConfig().factor(np.zeros(2)) is None
+    assert not PeriodConfig().asks
+    assert PeriodConfig(period_factor=5).asks
+    assert PeriodConfig(beacon_period='adaptive').asks
     np.testing.assert_array_equal(PeriodConfig(period_factor=5).factor(np.zeros(2)), [5, 5])
 
 
@@ -56,14 +58,6 @@ def test_a_fixed_period_is_asked_for_unless_it_is_every_one() -> None:
 def test_what_makes_no_period_is_refused(settings: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match='is not allowed, must be'):
         PeriodConfig(**settings)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize('factor', [0, 2 ** 31, 2 ** 32 - 1])
-def test_a_factor_that_is_none_is_refused(factor: int) -> None:
-    with pytest.raises(MessageError, match=f'factor {factor} is not allowed'):
-        check_factor(factor)
-    assert check_factor(1) == 1
-    assert check_factor(MAX_FACTOR) == MAX_FACTOR
 
 
 def test_messages_weigh_what_the_paper_says() -> None:
@@ -79,3 +73,41 @@ def test_every_number_fits_into_its_bits(vehicles: int, anchors: int, factor: in
     sender, receiver, period = (math.ceil(math.log2(count)) for count in (
         vehicles + anchors, vehicles, factor))
     assert cost.period_bits == sender + 1 + receiver + period
+
+
+def heard(*counts: int) -> Observation:
+    """Return an observation of vehicles that hear so many beacons each."""
+    observation = Observation.empty(len(counts), max(counts), 2, 1.0)
+    for vehicle, count in enumerate(counts):
+        observation.sender[vehicle, :count] = np.arange(count)
+    return observation
+
+
+def test_beacons_come_when_asked_for() -> None:
+    schedule = Schedule(2)
+    got = []
+    for period in range(12):
+        got.append(schedule.pass_on(heard(3, 2)).heard.sum(axis=1).tolist())
+        if period == 2:
+            schedule.ask(1, 4)
+        if period == 8:
+            schedule.ask(1, 1)
+    assert [first for first, _ in got] == [3] * 12
+    assert [second for _, second in got] == [2, 2, 2, 0, 0, 0, 2, 0, 0, 2, 2, 2]
+    assert schedule.localizations == 12 * 3 + 7 * 2
+    assert schedule.requests == 2
+    cost = AirCost(2, 3, 4)
+    assert schedule.bits(3) == 50 * cost.localization_bits + 2 * cost.period_bits
+
+
+def test_who_hears_nothing_at_its_time_hears_the_next_beacon() -> None:
+    schedule = Schedule(1)
+    schedule.pass_on(heard(1))
+    schedule.ask(0, 3)
+    got = [bool(schedule.pass_on(heard(count)).heard.any()) for count in (1, 1, 0, 0, 1, 1)]
+    assert got == [False, False, False, False, True, False]
+
+
+def test_nobody_who_asks_for_nothing_misses_anything() -> None:
+    observation = heard(2, 0, 1)
+    np.testing.assert_array_equal(Schedule(3).pass_on(observation).sender, observation.sender)

@@ -34,14 +34,20 @@ class Ekf(GaussianFilter):
                  vehicles: int, dimension: int, rng: np.random.Generator):
         super().__init__(config, channel, motion, vehicles, dimension, rng)
         self.config = config
+        self._period_factor = np.ones(vehicles, int)
 
     def update(self, observation: Observation) -> Estimate:
         """Take in what was heard, and tell how often to be heard."""
-        known = self.placed & observation.heard.any(axis=1)
+        heard = observation.heard.any(axis=1)
+        known = self.placed & heard
         residual = np.where(known, self.residual(observation), np.inf)
         lost = self.take_in(observation)
         residual[lost] = np.inf
-        return self.estimate(observation, lost, self.config.factor(residual))
+        # Silence between two beacons is what was asked for.
+        self._period_factor = np.where(
+            heard, self.config.factor(residual), self._period_factor)
+        return self.estimate(
+            observation, lost, self._period_factor if self.config.asks else None)
 
     def residual(self, observation: Observation) -> Array:
         """Return sum |z - z_hat| (V,) [m] over the ranges as predicted, inf if there are none."""

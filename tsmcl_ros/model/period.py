@@ -9,14 +9,14 @@ steepest point, ln(alpha / q), to the right; it is flat at small residuals and n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.types import Array, ConfigError, MessageError
+from tsmcl_ros.types import Array, ConfigError, MAX_PERIOD_FACTOR, Observation, PADDED
 
-MAX_FACTOR = 2 ** 31 - 1
+_TYPE, _STAMP, _POSITION = 1, 28, 30  # bits of a message's parts
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class PeriodConfig(Config):
         'fixed', 'ask for a beacon every period_factor periods, or as often as the residual of '
         'the ranges demands', choices=('fixed', 'adaptive'))
     period_factor: int = param(
-        1, 'periods between two beacons (beacon_period fixed)', low=1, high=MAX_FACTOR)
+        1, 'periods between two beacons (beacon_period fixed)', low=1, high=MAX_PERIOD_FACTOR)
     period_q: float = param(
         15.0, 'periods between two beacons at no residual (beacon_period adaptive)', low=1.0,
         high=1e6)
@@ -43,10 +43,15 @@ class PeriodConfig(Config):
                 f'period_alpha: {self.period_alpha:g} is not allowed, must be at least 100 times '
                 f'period_q, {self.period_q:g}')
 
-    def factor(self, residual: Array) -> Array | None:
-        """Return the factor (V,) int for these residuals [m], None if none is asked for."""
+    @property
+    def asks(self) -> bool:
+        """Whether another period is asked for than every base period."""
+        return self.beacon_period == 'adaptive' or self.period_factor > 1
+
+    def factor(self, residual: Array) -> Array:
+        """Return the factor (V,) int that vehicles with these residuals [m] ask for."""
         if self.beacon_period == 'fixed':
-            return np.full(len(residual), self.period_factor) if self.period_factor > 1 else None
+            return np.full(len(residual), self.period_factor)
         return np.asarray(np.maximum(
             np.rint(omega(residual, self.period_q, self.period_alpha)), 1).astype(int))
 
@@ -68,21 +73,6 @@ def omega(residual: Array, q: float = 15.0, alpha: float = 1e6) -> Array:
         return np.asarray(1 / (1 / q + np.exp(residual - math.log(alpha))))
 
 
-def check_factor(factor: int) -> int:
-    """
-    Return a factor that somebody asks for.
-
-    Raises
-    ------
-    MessageError
-        If it is none.
-    """
-    if not 1 <= factor <= MAX_FACTOR:
-        raise MessageError(
-            f'beacon period: factor {factor} is not allowed, must be from 1 to {MAX_FACTOR}')
-    return factor
-
-
 @dataclass(frozen=True)
 class AirCost:
     """
@@ -100,12 +90,10 @@ class AirCost:
     anchors: int
     max_factor: int = 15
 
-    TYPE, STAMP, POSITION = 1, 28, 30
-
     @property
     def localization_bits(self) -> int:
         """Bits of an anchor's localization message: sender, type, time stamp and position."""
-        return self._header + self.STAMP + self.POSITION
+        return self._header + _STAMP + _POSITION
 
     @property
     def period_bits(self) -> int:
@@ -114,7 +102,57 @@ class AirCost:
 
     @property
     def _header(self) -> int:
-        return _width(self.vehicles + self.anchors) + self.TYPE
+        return _width(self.vehicles + self.anchors) + _TYPE
+
+
+class Schedule:
+    """
+    When vehicles get beacons, as they have asked for, and what has been on the air for it.
+
+    Parameters
+    ----------
+    vehicles : int
+        V.
+
+    Attributes
+    ----------
+    factor : (V,) int
+        Base periods from one beacon to the next.
+    localizations, requests : int
+        Messages so far: beacons passed on, one for each vehicle that hears it, and periods asked
+        for.
+    """
+
+    def __init__(self, vehicles: int):
+        self.factor = np.ones(vehicles, int)
+        self.localizations = self.requests = 0
+        self._waited = np.full(vehicles, MAX_PERIOD_FACTOR)
+        self._largest = 1
+
+    def ask(self, vehicle: int, factor: int) -> None:
+        """Give a vehicle beacons this often, counted from its last one on."""
+        self.factor[vehicle] = factor
+        self.requests += 1
+        self._largest = max(self._largest, factor)
+
+    def pass_on(self, heard: Observation) -> Observation:
+        """
+        Let one base period pass, and return what of its beacons (V, K) is meant for the vehicles.
+
+        Who hears nothing when its time has come gets the next beacon that it can hear.
+        """
+        self._waited += 1
+        due = self._waited >= self.factor
+        passed = replace(heard, sender=np.where(due[:, None], heard.sender, PADDED))
+        self._waited[passed.heard.any(axis=1)] = 0
+        self.localizations += int(passed.heard.sum())
+        return passed
+
+    def bits(self, anchors: int) -> int:
+        """Return what all messages weighed, in a network of this many anchors."""
+        cost = AirCost(len(self.factor), anchors, self._largest)
+        return (self.localizations * cost.localization_bits
+                + self.requests * cost.period_bits)
 
 
 def _width(values: int) -> int:

@@ -38,7 +38,7 @@ class LocalizerNode(runtime.Node):
     Localizer: tells where a vehicle is, from the beacons that it hears and its odometry.
 
     Listens to beacons, odom and initialpose in its namespace and to /anchor_map; publishes pose,
-    particle_cloud, markers and /diagnostics.
+    particle_cloud, markers and /diagnostics, and beacon_period if it is to be adaptive.
     """
 
     default_name = 'localizer'
@@ -86,6 +86,8 @@ class LocalizerNode(runtime.Node):
         """Create publishers, services, and the timer of the diagnostics."""
         outputs = self._endpoint.outputs
         self._poses = [self.talk(topic, messages.POSE, runtime.LATCHED) for topic in outputs]
+        self._periods = [self.talk(topic, messages.UINT32, runtime.LATCHED)
+                         for topic in self._endpoint.period_outputs]
         self._clouds = [
             self.talk(f'{topic.removesuffix("pose")}particle_cloud', messages.POSE_ARRAY,
                       runtime.SENSOR_DATA)
@@ -145,6 +147,8 @@ class LocalizerNode(runtime.Node):
     def _publish_poses(self, estimate: Estimate) -> None:
         runtime.publish_all(
             (self._poses[vehicle], data) for vehicle, data in self._endpoint.poses(estimate))
+        for vehicle, data in self._endpoint.periods(estimate):
+            self._periods[vehicle].publish(data)
         if self._transforms is not None:
             self._transforms.send(estimate)
 

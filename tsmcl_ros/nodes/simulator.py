@@ -58,7 +58,9 @@ class Simulator(runtime.Node):
     Simulated world: moves vehicles and passes on to them the beacons that anchors transmit.
 
     Publishes /clock and for each vehicle ground_truth, beacons and odom. Starts when it knows an
-    /anchor_map. With cooperation it listens to each vehicle's pose, and passes that on too.
+    /anchor_map. With cooperation it listens to each vehicle's pose, and passes that on too. A
+    vehicle that asks for another beacon_period hears no anchor until it is over: its beacons come
+    empty, so that nobody waits for them.
     """
 
     default_name = 'simulator'
@@ -89,6 +91,9 @@ class Simulator(runtime.Node):
         # heard from its first beacon on.
         self.listen('/beacons', messages.POINT_CLOUD, self._air.beacon, runtime.SENSOR_DATA)
         self.listen('/anchor_map', messages.POINT_CLOUD, self._air.map, runtime.LATCHED_INPUT)
+        for i in range(world.vehicles):
+            self.listen(f'/veh_{i}/beacon_period', messages.UINT32, partial(self._ask, i),
+                        runtime.LATCHED_INPUT)
         self._clock_out = self.talk('/clock', messages.CLOCK, runtime.RELIABLE)
         # Odometry comes last: who sees that topic sees the others.
         self._ground_truth, self._beacons, self._odom = zip(*(
@@ -118,7 +123,15 @@ class Simulator(runtime.Node):
                 break
             self._simulate(stamp)
             pace.wait(self._period / self.settings['rate'])
+        schedule = self._world.schedule
+        self.get_logger().info(
+            f'on the air were {schedule.localizations} localization messages and '
+            f'{schedule.requests} period messages, {schedule.bits(len(self._air.anchors))} bits')
         self.get_logger().info('the simulation is over')
+
+    def _ask(self, vehicle: int, data: bytes) -> None:
+        """Give a vehicle the beacon period that it asks for."""
+        self._world.schedule.ask(vehicle, messages.decode_period(data))
 
     def _gather(self) -> None:
         """Wait for the anchors, and for as many listeners as wanted."""
