@@ -118,21 +118,20 @@ class Schedule:
     ----------
     factor : (V,) int
         Base periods from one beacon to the next.
-    localizations, requests : int
-        Messages so far: beacons passed on, one for each vehicle that hears it, and periods asked
-        for.
+    localizations, requests : (V,) int
+        Messages so far: beacons passed on to each vehicle, and periods that it has asked for.
     """
 
     def __init__(self, vehicles: int):
         self.factor = np.ones(vehicles, int)
-        self.localizations = self.requests = 0
+        self.localizations, self.requests = np.zeros((2, vehicles), int)
         self._waited = np.full(vehicles, MAX_PERIOD_FACTOR)
         self._largest = 1
 
     def ask(self, vehicle: int, factor: int) -> None:
         """Give a vehicle beacons this often, counted from its last one on."""
         self.factor[vehicle] = factor
-        self.requests += 1
+        self.requests[vehicle] += 1
         self._largest = max(self._largest, factor)
 
     def pass_on(self, heard: Observation) -> Observation:
@@ -145,14 +144,14 @@ class Schedule:
         due = self._waited >= self.factor
         passed = replace(heard, sender=np.where(due[:, None], heard.sender, PADDED))
         self._waited[passed.heard.any(axis=1)] = 0
-        self.localizations += int(passed.heard.sum())
+        self.localizations += passed.heard.sum(axis=1)
         return passed
 
     def bits(self, anchors: int) -> int:
         """Return what all messages weighed, in a network of this many anchors."""
         cost = AirCost(len(self.factor), anchors, self._largest)
-        return (self.localizations * cost.localization_bits
-                + self.requests * cost.period_bits)
+        return int(self.localizations.sum() * cost.localization_bits
+                   + self.requests.sum() * cost.period_bits)
 
 
 def _width(values: int) -> int:

@@ -124,9 +124,10 @@ class Simulator(runtime.Node):
             self._simulate(stamp)
             pace.wait(self._period / self.settings['rate'])
         schedule = self._world.schedule
+        bits = schedule.bits(len(self._air.anchors))
         self.get_logger().info(
-            f'on the air were {schedule.localizations} localization messages and '
-            f'{schedule.requests} period messages, {schedule.bits(len(self._air.anchors))} bits')
+            f'on the air were {schedule.localizations.sum()} localization messages and '
+            f'{schedule.requests.sum()} period messages, {bits} bits')
         self.get_logger().info('the simulation is over')
 
     def _ask(self, vehicle: int, data: bytes) -> None:
