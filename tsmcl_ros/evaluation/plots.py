@@ -214,7 +214,8 @@ def nees_over_time(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
 
 
 def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
-                        levels: Mapping[str, float], legend: bool = True) -> None:
+                        levels: Mapping[str, float], legend: bool = True, epoch: str = 'epoch'
+                        ) -> None:
     """
     Draw errors of an experiment against the epoch, on a logarithmic axis.
 
@@ -230,6 +231,8 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
         Errors [m] to be marked across.
     legend : bool
         Off where another plot beside it has the same.
+    epoch : str
+        What an epoch is, for the axis.
     """
     for index, (label, error) in enumerate(curves.items()):
         ax.plot(np.arange(len(error)) + 1, error, label=_shown(label), linewidth=1.3,
@@ -244,7 +247,7 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
     drawn = drawn[drawn > 0]
     _make_logarithmic(ax, 'y', float(drawn.min()) / 1.3, 1.3 * float(drawn.max()))
     ax.margins(x=0.01)
-    _label(ax, 'epoch', quantity)
+    _label(ax, epoch, quantity)
     if legend:
         _legend(ax)
 

@@ -1,5 +1,6 @@
 """The claims of the papers as experiments, by the names that users give."""
 
+from tsmcl_ros.evaluation.experiments.grey import Grey
 from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import TsMclConvergence
 from tsmcl_ros.evaluation.monte_carlo import Experiment
 
@@ -10,4 +11,6 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
         TsMclConvergence(
             runs=2, vehicles=6, epochs=8, bootstrap=((50, 500), (200, 2000)),
             grid_cell=100.0, exact_vehicles=2, lens_vehicles=10, lens_epochs=4)),
+    'grey_straight': (Grey(turn=0.0), Grey(turn=0.0, runs=2, vehicles=50)),
+    'grey_maneuver': (Grey(turn=35.0), Grey(turn=35.0, runs=2, vehicles=50)),
 }
