@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 from tsmcl_ros.localizer import Localizer, LOST, OK, STALE
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.types import ConfigError, Estimate, MessageError, Observation, Odometry, Prior
+from tsmcl_ros.types import (
+    ConfigError,
+    Estimate,
+    MessageError,
+    Observation,
+    Odometry,
+    Prior,
+    VEHICLE,
+)
 
 CORNERS = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0], [100, 100, 0]], np.float32)
 # Few particles, and ranges to all corners: what is tested here is time, not accuracy.
@@ -691,3 +699,43 @@ def test_a_vehicle_that_is_placed_elsewhere_has_no_past(change):
         localizer.epoch(scan(60.0, place(60.0)))
         predicted.append(localizer.epoch(silence(62.0)).mean)
     np.testing.assert_array_equal(*predicted)
+
+
+# --- other vehicles --------------------------------------------------------------------------
+
+def meet(stamp, place, other, variance):
+    """Return the range to a vehicle, which claims a position with some variance."""
+    heard = replace(anchors((900,), np.append(other, 0.0)[None]), stamp=stamp)
+    heard.kind[:], heard.covariance[:] = VEHICLE, variance * np.eye(3)
+    heard.range[:] = np.linalg.norm(np.asarray(other) - place)
+    return Observation.join([scan(stamp, place), heard])
+
+
+def locate(stamps, other, variance, **parameters):
+    """Return the last estimate of a vehicle at (50, 50) that ranges a vehicle to the right."""
+    localizer = Localizer({**SETTINGS, 'range_calibration': 'off', **parameters})
+    for stamp in range(stamps):
+        localizer.beacons(0, meet(stamp, np.array([50.0, 50.0]), other, variance))
+    return localizer.finish()[-1]
+
+
+def test_a_less_certain_vehicle_is_no_reference_unless_the_guard_is_off():
+    assert locate(3, np.array([60.0, 50.0]), 100.0).heard[0] == 4
+    assert locate(3, np.array([60.0, 50.0]), 100.0, echo_guard=0.0).heard[0] == 5
+
+
+def test_vehicles_can_be_left_out():
+    assert locate(3, np.array([60.0, 50.0]), 0.001).heard[0] == 5
+    assert locate(3, np.array([60.0, 50.0]), 0.001, use_vehicles=False).heard[0] == 4
+
+
+def test_ranges_to_vehicles_do_not_calibrate():
+    localizer = Localizer({**SETTINGS, 'range_calibration': 'online'})
+    alone = Localizer({**SETTINGS, 'range_calibration': 'online', 'use_vehicles': False})
+    for stamp in range(5):
+        heard = meet(stamp, np.array([50.0, 50.0]), np.array([60.0, 50.0]), 1e-3)
+        heard.range[0, :4] = np.nan
+        for one in (localizer, alone):
+            one.beacons(0, heard)
+            one.due()
+    assert localizer.channel.calibration.scale == alone.channel.calibration.scale == 1.0

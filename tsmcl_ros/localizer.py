@@ -33,7 +33,9 @@ from tsmcl_ros.types import (
     Motion,
     Observation,
     Odometry,
+    PADDED,
     Prior,
+    VEHICLE,
 )
 
 OK, STALE, LOST = 0, 1, 2
@@ -350,6 +352,9 @@ class Localizer:
 
     def _guarded(self, observation: Observation) -> Observation:
         """Believe no more of other vehicles than they can know without this one."""
+        if not self.evidence_config.use_vehicles:
+            vehicles = observation.kind == VEHICLE
+            return replace(observation, sender=np.where(vehicles, PADDED, observation.sender))
         if self._estimate is None:
             return observation
         return guard(observation, self._estimate.mean, self._estimate.covariance,

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
 from tsmcl_ros.types import ConfigError, Observation, PADDED, VEHICLE
+from tsmcl_ros.world import make_world
 
 
 def listen(position: np.ndarray, anchors: np.ndarray, reach: float) -> Observation:
@@ -108,3 +110,22 @@ def test_an_anchor_with_the_identity_of_a_vehicle_is_refused() -> None:
     with pytest.raises(ConfigError, match='vehicle_id_offset: 100 is not allowed, it gives '
                                           'vehicles the ids 100 to 102, and 102 is an anchor'):
         RelayConfig(vehicle_id_offset=100).refuse_anchors(anchors, 3)
+
+
+def test_mcl_is_nearer_with_relayed_anchors() -> None:
+    # 40 vehicles among few anchors, range-free: what neighbours hear says where one is not.
+    settings = {'radio_range': 100.0, 'vehicles': 40, 'area_x': 400.0, 'area_y': 400.0,
+                'anchor_rows': 3, 'anchor_columns': 3, 'anchor_spacing': 400 / 3,
+                'anchor_jitter': 30.0, 'min_speed': 5.0, 'max_speed': 20.0}
+    errors = []
+    for hops in (1, 2):
+        world = make_world({**settings, 'relay_hops': hops}, np.random.default_rng(1))
+        localizer = Localizer({
+            'method': 'mcl', 'min_particles': 50, 'max_particles': 500, 'motion_model': 'random',
+            'max_speed': 20.0, 'radio_range': 100.0, 'silence': 'none', 'seed': 1}, 40)
+        epochs = [world.step() for _ in range(30)]
+        estimates = [localizer.epoch(epoch.observation) for epoch in epochs]
+        errors.append(np.array([np.linalg.norm(estimate.mean - epoch.position, axis=1)
+                                for epoch, estimate in zip(epochs, estimates, strict=True)])[10:])
+    located = np.isfinite(errors[0]) & np.isfinite(errors[1])
+    assert errors[1][located].mean() < 0.9 * errors[0][located].mean()

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from tsmcl_ros.bag import Reader
-from tsmcl_ros.config import load_yaml
-from tsmcl_ros.scripts.demo import LOCALIZER, main
+from tsmcl_ros.scripts.demo import main
 
 Start = Callable[..., Any]
 SMALL = ('--vehicles', '3', '--rate', '10', '--out', 'demo')
@@ -53,7 +52,7 @@ def test_one_command_simulates_localizes_records_evaluates_and_compares(
     assert code == 0
     out = tmp_path / 'demo'
     assert members(out) == []
-    for label in ('ts_mcl, over DDS', 'mcl', 'mcl, random motion', 'available'):
+    for label in ('ts_mcl, over DDS', 'mcl', 'mcl, random motion', 'available', '3 of 3'):
         assert label in output
     assert 'Traceback' not in output
     with Reader(out / 'bag') as bag:
@@ -111,13 +110,9 @@ def test_a_folder_that_exists_is_left_alone(
 
 @pytest.mark.parametrize('arguments', [
     ['--vehicles', '0'], ['--rate', '-1'], ['--duration', 'nan'], ['--method', 'magic'],
+    ['--config'],
 ])
 def test_values_that_make_no_sense_are_wrong_usage(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
-
-
-def test_the_fleet_runs_with_the_parameters_of_the_range_free_file() -> None:
-    path = Path(__file__).parents[2] / 'config' / 'range_free.yaml'
-    assert load_yaml(path, 'fleet') == LOCALIZER | {'method': 'ts_mcl'}

@@ -126,7 +126,7 @@ def test_the_table_holds_what_metrics_json_does(one):
     assert one.lines[1].split() == [
         'a', *(f'{overall[name]:.3f}' for name in (
             'rmse_m', 'mean_m', 'median_m', 'p95_m', 'max_m')),
-        '100.0', '%', f'{overall["nees"]:.2f}', '112']
+        '100.0', '%', f'{overall["nees"]:.2f}', '112', '2', 'of', '2']
 
 
 def test_the_last_line_says_where_the_results_are(one):

@@ -91,6 +91,7 @@ class EvidenceConfig(Config):
     range_calibration: str = param(
         'online', 'estimate scale and bias of the ranges while running, from range_scale and '
         'range_bias on', choices=('off', 'online'))
+    use_vehicles: bool = param(True, 'beacons of other vehicles count')
     echo_guard: float = param(
         1.0, 'how wary to be of knowledge that other vehicles may have from oneself: 1 lets it '
         'flow from the more to the less certain only, 0 is no guard', low=0.0, high=100.0)

@@ -40,7 +40,7 @@ class SimulatorConfig(Config):
         False, 'vehicles broadcast the poses that their localizers publish, as references of kind '
         'vehicle for others')
     pose_timeout: float = param(
-        2.0, 'longest wait for the pose of a vehicle that hears beacons, in real time', unit='s',
+        10.0, 'longest wait for the pose of a vehicle that hears beacons, in real time', unit='s',
         above=0, high=60)
     global_frame_id: str = param('map', 'frame of the ground truth and of the poses')
     seed: int = param(1, 'of movement, odometry and radio', low=0)
@@ -169,9 +169,10 @@ class Simulator(runtime.Node):
         if not self._config.cooperation:
             return None
         if not self.spin(self._reports.is_complete, self._config.pose_timeout):
-            silent = ', '.join(map(str, self._reports.give_up()))
+            silent = self._reports.give_up()
             self.get_logger().warning(
-                f'vehicles {silent} have sent no pose and are no longer waited for')
+                f'{len(silent)} vehicles, from {silent[0]} on, have sent no pose and are no '
+                'longer waited for')
         return self._reports.poses(self._world.mobility.state.position.shape[1])
 
     def _await_beacons(self, clock: bytes) -> bool:

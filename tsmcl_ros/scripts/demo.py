@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 import ctypes
+import json
 import math
 import os
 from pathlib import Path
@@ -30,20 +31,9 @@ from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.watch import Watch
 from tsmcl_ros.scripts.cli import run_script
 from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
+from tsmcl_ros.scripts.scenario import RANGE_FREE, read_scenario, Scenario
 from tsmcl_ros.types import ConfigError, TsmclError
 
-# What config/range_free.yaml holds but the method: an installed demo finds no such files.
-LOCALIZER = {
-    'min_particles': 200, 'max_particles': 2000, 'motion_model': 'odometry',
-    'odom_heading': 'known', 'odom_std': 0.5, 'alpha3': 0.0, 'alpha4': 0.0,
-    'radio_model': 'disk', 'radio_range': 1000.0, 'edge_softness': 1.0, 'silence': 'map',
-}
-# What the recording is run through for comparison; MCL was published with random motion.
-COMPARED = {
-    'ts_mcl': {'method': 'ts_mcl'},
-    'mcl': {'method': 'mcl'},
-    'mcl, random motion': {'method': 'mcl', 'motion_model': 'random'},
-}
 _START_PATIENCE = 60.0  # s, for four processes that import and find each other
 _STOP_PATIENCE = 10.0  # s, for one to close what it has open
 
@@ -54,18 +44,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demonstrate(arguments: Sequence[str] | None) -> None:
-    options = _parser().parse_args(arguments)
+    options, scenario = _read(arguments)
     out = options.out or _unused(Path('out', 'demo'))
     if out.exists():
         raise ConfigError(f'--out: {out} exists already, must be a folder to be made')
     bag = out / 'bag'
     with Processes(out / 'log') as processes:
-        duration = _simulate(processes, options, bag)
-        runs = {f'{options.method}, over DDS': bag} | _compare(processes, options, bag)
+        duration = _simulate(processes, options, scenario, bag)
+        runs = {f'{options.method}, over DDS': bag} | _compare(processes, options, scenario, bag)
     _report(options, runs, duration, out, arguments)
 
 
-def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> float:
+def _read(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, Scenario]:
+    """Return options and scenario; what the scenario says is the default of the options."""
+    parser = _parser()
+    path = parser.parse_args(arguments).config
+    if path is None:
+        return parser.parse_args(arguments), RANGE_FREE
+    scenario = read_scenario(path)
+    parser.set_defaults(**scenario.defaults)
+    return parser.parse_args(arguments), scenario
+
+
+def _simulate(
+    processes: Processes, options: argparse.Namespace, scenario: Scenario, bag: Path,
+) -> float:
     """Record a fleet that is localized over DDS, and return how long it took [simulated s]."""
     os.environ.update(
         ROS_DOMAIN_ID=str(_free_domain()),
@@ -76,14 +79,15 @@ def _simulate(processes: Processes, options: argparse.Namespace, bag: Path) -> f
     fleet = {'vehicles': options.vehicles, 'seed': options.seed}
     time_of_clock = {'use_sim_time': True}
     processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
-    processes.start_node('anchor', time_of_clock | {'seed': options.seed})
-    processes.start_node('fleet', time_of_clock | fleet | LOCALIZER | {'method': options.method})
+    processes.start_node('anchor', {**scenario.anchor, **time_of_clock, 'seed': options.seed})
+    processes.start_node(
+        'fleet', {**scenario.fleet, **time_of_clock, **fleet, 'method': options.method})
     try:
         with runtime.session(), closing(Watch(options.vehicles)) as watch:
             # Last, once all that anchors and fleet say gets recorded.
             _await(processes, watch, watch.is_recorded)
-            processes.start_node('simulator', fleet | world | {
-                'radio_range': LOCALIZER['radio_range'], 'duration': options.duration,
+            processes.start_node('simulator', {
+                **scenario.simulator, **fleet, **world, 'duration': options.duration,
                 'rate': options.rate,
                 'wait_for': 2,  # the fleet and the recorder
             })
@@ -123,11 +127,11 @@ def _show(watch: Watch, processes: Processes, options: argparse.Namespace) -> No
 
 
 def _compare(
-    processes: Processes, options: argparse.Namespace, bag: Path,
+    processes: Processes, options: argparse.Namespace, scenario: Scenario, bag: Path,
 ) -> dict[str, Path]:
     """Run the recording through the localizer in process, otherwise set up, side by side."""
     others = {
-        label: settings for label, settings in COMPARED.items() if label != options.method
+        label: settings for label, settings in scenario.others.items() if label != options.method
     }
     if not options.quiet:
         print(f'the same recording, for comparison: {"; ".join(others)}', file=sys.stderr)
@@ -135,10 +139,10 @@ def _compare(
     for label, settings in others.items():
         name = re.sub(r'\W+', '_', label)
         runs[label] = bag.with_name(name)
-        given = LOCALIZER | {'seed': options.seed} | settings
+        given = {**scenario.localizer, 'method': options.method, 'seed': options.seed, **settings}
         processes.start(name, 'scripts.localize_bag', [
             str(bag), '--out', str(runs[label]), '--storage', options.storage, '--quiet',
-            *(f'--{name.replace("_", "-")}={value}' for name, value in given.items()),
+            *(f'--{name.replace("_", "-")}={_as_text(value)}' for name, value in given.items()),
         ])
     for path in runs.values():
         processes.wait(path.name)
@@ -284,7 +288,12 @@ def _unused(path: Path) -> Path:
 
 
 def _as_yaml(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    # As JSON, where a text such as 'off' stays one.
+    return str(value) if isinstance(value, Path) else json.dumps(value)
+
+
+def _as_text(value: object) -> str:
+    return ','.join(value) if isinstance(value, list) else str(value)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -294,6 +303,9 @@ def _parser() -> argparse.ArgumentParser:
                     'evaluate, and compare with other methods on the same recording.',
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
+    parser.add_argument('--config', type=Path, metavar='FILE',
+                        help='scenario: parameters of anchor, simulator and fleet; other options '
+                             'win over it (default: range-free among sixteen anchors)')
     parser.add_argument('--vehicles', type=_whole, default=40, metavar='N', help='how many')
     parser.add_argument('--duration', type=_positive, default=200.0, metavar='S',
                         help='simulated time')

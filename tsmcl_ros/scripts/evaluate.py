@@ -77,11 +77,15 @@ def read_all(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: float
 
 
 def format_table(runs: Iterable[Run], mean: Metrics | None = None) -> str:
-    """Return the runs' metrics as lines of text, one a run, and the mean if there is one."""
-    rows = [('', *(heading for _, heading, _ in COLUMNS))]
-    rows += [(run.label, *run.overall.cells()) for run in runs]
+    """
+    Return the runs' metrics as lines of text, one a run, and the mean if there is one.
+
+    The last column counts the vehicles that had a pose at all.
+    """
+    rows = [('', *(heading for _, heading, _ in COLUMNS), 'localized')]
+    rows += [(run.label, *run.overall.cells(), _localized(run)) for run in runs]
     if mean:
-        rows.append(('mean', *mean.cells()))
+        rows.append(('mean', *mean.cells(), ''))
     return align(rows)
 
 
@@ -153,6 +157,11 @@ def _evaluate(arguments: Sequence[str] | None) -> None:
         print('note: no report.html, as matplotlib is missing: pip install tsmcl_ros[plot]',
               file=sys.stderr)
     print(f'{", ".join(written)} are in {folder}')
+
+
+def _localized(run: Run) -> str:
+    found = sum(len(part.error) > 0 for part in run.vehicles.values())
+    return f'{found} of {len(run.vehicles)}'
 
 
 def _document(runs: Sequence[Run], mean: Metrics | None) -> dict[str, Any]:
