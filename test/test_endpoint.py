@@ -7,7 +7,7 @@ import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.types import MessageError, Observation, Odometry, VEHICLE
+from tsmcl_ros.types import Links, MessageError, Observation, Odometry, VEHICLE
 
 CORNERS = np.array([[0, 0, 2], [100, 0, 2], [0, 100, 2], [100, 100, 2]], np.float32)
 SETTINGS = {'min_particles': 200, 'range_std': 1.0, 'max_speed': 5.0}
@@ -43,7 +43,7 @@ def poses(target):
 def test_a_fleets_topics_are_those_in_its_namespaces():
     target = endpoint('/veh_0', '/veh_7')
     assert {topic: kind for topic, (kind, _) in target.inputs.items()} == {
-        '/anchor_map': messages.POINT_CLOUD,
+        '/anchor_map': messages.POINT_CLOUD, '/anchor_links': messages.POINT_CLOUD,
         **{f'/veh_{i}/{name}': kind for i in (0, 7) for name, kind in (
             ('beacons', messages.POINT_CLOUD), ('odom', messages.ODOMETRY),
             ('initialpose', messages.POSE))}}
@@ -52,7 +52,8 @@ def test_a_fleets_topics_are_those_in_its_namespaces():
 
 def test_a_single_vehicles_topics_are_relative():
     target = endpoint('')
-    assert set(target.inputs) == {'/anchor_map', 'beacons', 'odom', 'initialpose'}
+    assert set(target.inputs) == {
+        '/anchor_map', '/anchor_links', 'beacons', 'odom', 'initialpose'}
     assert target.outputs == ['pose']
 
 
@@ -221,3 +222,41 @@ def test_an_initial_yaw_counts_if_it_is_known(yaw, known):
     assert (pose.covariance[5, 5] < 1e-3) == known
     if known:
         assert pose.yaw == pytest.approx(1.2, abs=0.01)
+
+
+def links(position=CORNERS, rssi=-60.0, frame_id='map'):
+    """Return how the first corner and the others hear each other."""
+    ends = np.array([[1, 1, 1, 2, 3, 4], [2, 3, 4, 1, 1, 1]])
+    return messages.encode_links(0.0, Links(
+        *ends, *(position[row - 1] for row in ends), np.full(6, rssi, np.float32)), frame_id)
+
+
+def test_links_of_anchors_calibrate_the_radio():
+    target = endpoint('', measure_rssi=True, radio_range=200.0)
+    before = target.localizer.channel.path_loss(np.array([1])).mean(np.array([100.0]))
+    give(target, '/anchor_links', links(rssi=-60.0))
+    after = target.localizer.channel.path_loss(np.array([1])).mean(np.array([100.0]))
+    assert before == pytest.approx(-80)
+    assert after == pytest.approx(-60, abs=1)
+
+
+def test_links_outlive_a_new_start():
+    target = endpoint('', measure_rssi=True)
+    give(target, '/anchor_links', links())
+    calibrated = target.localizer.channel.path_loss(np.array([1])).reference
+    target.localizer.reset()
+    assert target.localizer.channel.path_loss(np.array([1])).reference == calibrated
+
+
+@pytest.mark.parametrize(('data', 'complaint'), [
+    (links(frame_id='odom'), "anchor links: frame_id 'odom' is not allowed, must be 'map'"),
+    (links(CORNERS + 5), 'anchor links: anchor 1 claims'),
+    (links(rssi=np.nan), 'rssi nan'),
+    (b'', 'starts with the bytes'),
+])
+def test_links_that_contradict_what_is_known_are_refused_and_change_nothing(data, complaint):
+    target = endpoint('', measure_rssi=True)
+    give(target, '/anchor_map', encoded(scan(0.0)))
+    with pytest.raises(MessageError, match=complaint):
+        give(target, '/anchor_links', data)
+    assert target.localizer.channel.path_loss(np.array([1])).reference == -40

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField, Range
 from std_msgs.msg import UInt32
 from tsmcl_ros import cdr, messages
-from tsmcl_ros.types import MessageError, Observation, Odometry
+from tsmcl_ros.types import Links, MessageError, Observation, Odometry
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -735,3 +735,75 @@ def test_mutations_raise_a_message_error_at_most(kind, data):
         DECODERS[kind](bytes(mutated[:len(VALID[kind])]))
     except MessageError as error:
         assert '\n' not in str(error)
+
+
+# --- links -----------------------------------------------------------------------------------
+
+
+def link(number=1, peer=2, **values):
+    return {'x': float(number), 'y': 0.0, 'z': 3.0, 'id': number, 'peer_id': peer, 'rssi': -60.0,
+            **values}
+
+
+def links_of(rows):
+    layout = [(name, 'u4' if 'id' in name else 'f4', 4 * place)
+              for place, name in enumerate(rows[0])]
+    return cloud(rows, layout)
+
+
+def test_links_survive_a_round_trip():
+    sent = Links(np.array([5, 9, 5]), np.array([9, 5, 2**32 - 2]),
+                 *np.random.default_rng(0).uniform(-1e5, 1e5, (2, 3, 3)).astype(np.float32),
+                 np.array([-60.5, -61, -90], np.float32))
+    sent.receiver_position[2] = sent.receiver_position[0]
+    sent = sent.without(np.array([2**32 - 2]))
+    sent.sender_position[:] = sent.receiver_position[::-1]
+    found, frame_id = messages.decode_links(messages.encode_links(1.5, sent, 'map'))
+    assert frame_id == 'map'
+    for name, value in vars(sent).items():
+        np.testing.assert_array_equal(getattr(found, name), value, name)
+
+
+def test_no_links_are_a_message_too():
+    found, _ = messages.decode_links(messages.encode_links(0.0, Links.none(), 'map'))
+    assert found.rssi.shape == (0,)
+
+
+def test_links_read_the_same_in_rclpy():
+    sent, _ = messages.decode_links(links_of([link(1, 2), link(2, 1, rssi=-61.0)]))
+    found = deserialize_message(messages.encode_links(2.0, sent, 'map'), PointCloud2)
+    assert [field.name for field in found.fields] == ['x', 'y', 'z', 'id', 'peer_id', 'rssi']
+    rows = np.frombuffer(bytes(found.data), messages.LINK)
+    assert rows['peer_id'].tolist() == [2, 1]
+    assert rows['rssi'].tolist() == [-60, -61]
+    assert found.is_dense is True
+
+
+@pytest.mark.parametrize(('rows', 'complaint'), [
+    ([link(1, 1)], 'peer_id 1 of id 1 is not allowed, must be another anchor'),
+    ([link(1, 2), link(2, 1, rssi=math.nan)],
+     'rssi nan of the link from id 2 to peer_id 1 is not allowed, must be finite'),
+    ([link(1, 2), link(2, 1, rssi=math.inf)], 'rssi inf of the link from id 2'),
+    ([link(1, 2), link(2, 7)], 'peer_id 7 of id 2 is unknown, must have a row of its own'),
+    ([link(1, 2, y=2e5), link(2, 1)],
+     'y 200000 of id 1 is not allowed, must be a number within 100 km of the origin'),
+    ([link(1, 2), link(2, 1, z=math.nan)], 'z nan of id 2 is not allowed'),
+    ([link(1, 2), link(2, 1), link(1, 3, x=4.0), link(3, 1)], 'id 1 stands at'),
+    ([link(1, 2), link(2, 1), link(1, 2)],
+     'the link from id 1 to peer_id 2 comes twice, must come once'),
+    ([beacon(1)], 'fields peer_id, rssi are missing'),
+])
+def test_links_that_cannot_be_true_are_refused(rows, complaint):
+    data = cloud(rows) if 'kind' in rows[0] or 'peer_id' not in rows[0] else links_of(rows)
+    with pytest.raises(MessageError, match=complaint):
+        messages.decode_links(data)
+
+
+@given(st.binary(max_size=400), st.integers(0, 300))
+def test_damaged_links_are_refused_or_read_but_nothing_else(noise, at):
+    data = bytearray(links_of([link(1, 2), link(2, 1)]))
+    data[at:at + len(noise)] = noise
+    try:
+        messages.decode_links(bytes(data))
+    except MessageError:
+        pass

@@ -66,7 +66,8 @@ class Endpoint:
             _topic(name, 'beacon_period') for name in names if localizer.asks_period]
         self._periods = np.zeros(len(names), int)
         self.inputs: dict[str, tuple[str, Callable[[bytes], None]]] = {
-            '/anchor_map': (messages.POINT_CLOUD, self._anchor_map)}
+            '/anchor_map': (messages.POINT_CLOUD, self._anchor_map),
+            '/anchor_links': (messages.POINT_CLOUD, self._anchor_links)}
         for vehicle, name in enumerate(names):
             for topic, kind, handler in (
                 ('beacons', messages.POINT_CLOUD, self._beacons),
@@ -97,6 +98,11 @@ class Endpoint:
         anchors, frame_id = messages.decode_beacons(data)
         self._check_frame('anchor map', frame_id)
         self.localizer.anchor_map(anchors)
+
+    def _anchor_links(self, data: bytes) -> None:
+        links, frame_id = messages.decode_links(data)
+        self._check_frame('anchor links', frame_id)
+        self.localizer.anchor_links(links)
 
     def _beacons(self, vehicle: int, data: bytes) -> None:
         observation, frame_id = messages.decode_beacons(data)

@@ -29,6 +29,7 @@ from tsmcl_ros.types import (
     ConfigError,
     Estimate,
     Estimator,
+    Links,
     MessageError,
     Motion,
     Observation,
@@ -148,6 +149,7 @@ class Localizer:
         self.restarts = 0
         self._anchors = KnownAnchors(
             self.evidence_config.silence, vehicles, self.config.dimension)
+        self._links = Links.none()
         self._ready: list[Estimate] = []
         self.reset()
         if self.motion_config.motion_model != 'auto':
@@ -155,9 +157,10 @@ class Localizer:
             self._make_method(False)
 
     def reset(self) -> None:
-        """Forget everything but the configuration and the anchor map."""
+        """Forget everything but the configuration, the anchor map, and the anchors' links."""
         self._rng = np.random.Generator(np.random.SFC64(self.config.seed))
         self.channel = Channel(self.radio_config, self.evidence_config)
+        self.channel.learn(self._links)
         self._anchors.forget()
         self._odometry = OdometryBuffer(self.vehicles)
         self._outage = OutagePredictor(self.vehicles, self.config.dimension)
@@ -209,6 +212,23 @@ class Localizer:
             If one id stands in it more than once.
         """
         self._anchors.learn_map(anchors.project(self.config.dimension))
+
+    def anchor_links(self, links: Links) -> None:
+        """
+        Take over how anchors hear each other, by which rssi is calibrated.
+
+        Links of several messages complete each other; a link told again replaces what it was.
+
+        Raises
+        ------
+        MessageError
+            If an anchor is not where the map has it.
+        """
+        table = Observation.empty(1, len(links.receiver), links.receiver_position.shape[1], 0.0)
+        table.sender[0], table.position[0] = links.receiver, links.receiver_position
+        self._anchors.check(table.project(self.config.dimension), 'anchor links')
+        self._links = self._links.updated(links)
+        self.channel.learn(self._links)
 
     def beacons(self, vehicle: int, observation: Observation) -> None:
         """

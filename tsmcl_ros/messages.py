@@ -11,7 +11,7 @@ simulated and relative times are; at today's epoch a double resolves 0.24 us.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -22,6 +22,7 @@ from tsmcl_ros import cdr
 from tsmcl_ros.types import (
     ANCHOR,
     Array,
+    Links,
     MAX_PERIOD_FACTOR,
     MessageError,
     Observation,
@@ -52,6 +53,13 @@ BEACON = np.dtype(
     align=True,
 )
 """One beacon as a row of a PointCloud2; two bytes of padding keep the floats aligned."""
+
+
+LINK = np.dtype(
+    [(name, '<f4') for name in ('x', 'y', 'z')]
+    + [('id', '<u4'), ('peer_id', '<u4'), ('rssi', '<f4')],
+)
+"""One link as a row of a PointCloud2: anchor `id`, at x, y, z, hears `peer_id` with this rssi."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,23 +130,10 @@ def decode_beacons(data: bytes) -> tuple[Observation, str]:
         finite or beyond 100 km, a negative or infinite measurement, an unknown kind or number of
         hops, a covariance that is none, or an anchor's id that somebody else claims too.
     """
-    reader = cdr.Reader(data)
-    stamp, frame_id = _read_header(reader)
-    height, width = reader.values('II')
-    layout = _read_layout(reader)
-    _, size = reader.values('II')
-    start = reader.skip(size)
-    reader.skip(1)
-    reader.finish()
-    count = height * width
-    if count * layout.itemsize != size:
-        raise MessageError(
-            f'data has {size} bytes, must be height {height} x width {width} x point_step '
-            f'{layout.itemsize} = {count * layout.itemsize}'
-        )
-    rows = _unify(np.frombuffer(data, layout, count, start))
+    stamp, frame_id, cloud = _read_cloud(data, _read_layout)
+    rows = _unify(cloud)
     _check_rows(rows)
-    scan = rows.reshape(1, count)
+    scan = rows[np.newaxis]
     return Observation(
         stamp=stamp,
         sender=scan['id'].astype(np.int64),
@@ -166,9 +161,44 @@ def encode_beacons(observation: Observation, frame_id: str) -> list[bytes]:
             rows[name] = observation.covariance[..., row, column]
     # Picked as words: numpy may copy a structured row field by field, and padding stays chance.
     return [
-        _encode_cloud(observation.stamp, frame_id, scan[heard])
+        _encode_scan(observation.stamp, frame_id, scan[heard])
         for scan, heard in zip(_words(rows), observation.heard, strict=True)
     ]
+
+
+def decode_links(data: bytes) -> tuple[Links, str]:
+    """
+    Return how anchors hear each other (D = 3), and the frame of the positions.
+
+    All fields of `LINK` must be there, read as those of beacons are. A row says where its own
+    anchor is, so that every peer needs a row of its own.
+
+    Raises
+    ------
+    MessageError
+        If the bytes are not such links, or say what cannot be true: a position or rssi that is
+        not finite, a position beyond 100 km, an anchor that hears itself or has two positions, a
+        peer without a position, or a link that comes twice.
+    """
+    _, frame_id, cloud = _read_cloud(
+        data, lambda reader: _parse_layout(reader, _LINK_FIELDS, tuple(_LINK_FIELDS)))
+    position = np.stack([cloud[axis] for axis in 'xyz'], axis=1)
+    receiver, sender = (cloud[name].astype(np.int64) for name in ('id', 'peer_id'))
+    _check_links(receiver, sender, position, cloud['rssi'])
+    position = position.astype(np.float32)
+    identity, first = np.unique(receiver, return_index=True)
+    return Links(
+        receiver, sender, position, position[first[np.searchsorted(identity, sender)]],
+        cloud['rssi'].astype(np.float32)), frame_id
+
+
+def encode_links(stamp: float, links: Links, frame_id: str) -> bytes:
+    """Return how anchors hear each other; a missing third dimension becomes zero."""
+    rows = np.zeros(len(links.rssi), LINK)
+    for axis, values in zip('xyz', links.receiver_position.T, strict=False):
+        rows[axis] = values
+    rows['id'], rows['peer_id'], rows['rssi'] = links.receiver, links.sender, links.rssi
+    return _encode_cloud(stamp, frame_id, _LINK_LAYOUT, rows, True)
 
 
 def decode_odometry(data: bytes) -> Odometry:
@@ -671,6 +701,11 @@ def _words(rows: Array) -> Array:
     return rows.view('<f4').reshape(*rows.shape, _WORDS)
 
 
+def _encode_scan(stamp: float, frame_id: str, words: Array) -> bytes:
+    dense = not np.isnan(words[:, list(_WORD.values())]).any()
+    return _encode_cloud(stamp, frame_id, _BEACON_LAYOUT, words, dense)
+
+
 def _check_claims(rows: Array) -> None:
     """Refuse an anchor's id with two positions, or with a vehicle that claims it too."""
     claims: dict[int, list[float]] = {}
@@ -697,6 +732,43 @@ def _full_covariance(terms: Array) -> Array:
     return full
 
 
+# --- links -----------------------------------------------------------------------------------
+
+
+def _check_links(receiver: Array, sender: Array, position: Array, rssi: Array) -> None:
+    """Refuse links (L,) that cannot be true, naming the first; see `decode_links`."""
+    def first(wrong: Array) -> int:
+        return int(np.argmax(wrong)) if wrong.any() else -1
+
+    far = ~(np.abs(position) <= MAX_COORDINATE)
+    if (at := first(far.any(axis=1))) >= 0:
+        axis = int(np.argmax(far[at]))
+        raise MessageError(
+            f'{"xyz"[axis]} {position[at, axis]:g} of id {receiver[at]} is not allowed, must be a '
+            f'number {_MEANINGS[-MAX_COORDINATE]}')
+    if (at := first(~np.isfinite(rssi))) >= 0:
+        raise MessageError(
+            f'rssi {rssi[at]:g} of the link from id {receiver[at]} to peer_id {sender[at]} is not '
+            'allowed, must be finite')
+    if (at := first(receiver == sender)) >= 0:
+        raise MessageError(
+            f'peer_id {sender[at]} of id {receiver[at]} is not allowed, must be another anchor')
+    if (at := first(~np.isin(sender, receiver))) >= 0:
+        raise MessageError(
+            f'peer_id {sender[at]} of id {receiver[at]} is unknown, must have a row of its own, '
+            'which says where it is')
+    identity, where = np.unique(receiver, return_index=True)
+    own = where[np.searchsorted(identity, receiver)]
+    if (at := first((position != position[own]).any(axis=1))) >= 0:
+        raise MessageError(
+            f'id {receiver[at]} stands at {position[own[at]].tolist()} and at '
+            f'{position[at].tolist()}: an id must have one position')
+    _, kept = np.unique([receiver, sender], axis=1, return_index=True)
+    if (at := first(~np.isin(np.arange(len(receiver)), kept))) >= 0:
+        raise MessageError(
+            f'the link from id {receiver[at]} to peer_id {sender[at]} comes twice, must come once')
+
+
 # --- layouts of clouds -------------------------------------------------------------------------
 
 # Values of sensor_msgs/PointField.
@@ -710,6 +782,7 @@ _ALLOWED = {
     'id': (_UINT32,), 'kind': (_UINT8,), 'hops': (_UINT8,),
 }
 _REQUIRED = ('x', 'y', 'z', 'id')
+_LINK_FIELDS = {name: _ALLOWED.get(name, (_UINT32,)) for name in LINK.names or ()}
 _MAX_POINT_STEP = 2**16
 _MAX_LAYOUTS = 16
 
@@ -725,6 +798,27 @@ class _KnownLayout:
 
 
 _known_layouts: list[_KnownLayout] = []
+
+
+def _read_cloud(
+    data: bytes, read_layout: Callable[[cdr.Reader], np.dtype[np.void]],
+) -> tuple[float, str, Array]:
+    """Return stamp, frame and rows (K,) of a cloud."""
+    reader = cdr.Reader(data)
+    stamp, frame_id = _read_header(reader)
+    height, width = reader.values('II')
+    layout = read_layout(reader)
+    _, size = reader.values('II')
+    start = reader.skip(size)
+    reader.skip(1)
+    reader.finish()
+    count = height * width
+    if count * layout.itemsize != size:
+        raise MessageError(
+            f'data has {size} bytes, must be height {height} x width {width} x point_step '
+            f'{layout.itemsize} = {count * layout.itemsize}'
+        )
+    return stamp, frame_id, np.frombuffer(data, layout, count, start)
 
 
 def _read_layout(reader: cdr.Reader) -> np.dtype[np.void]:
@@ -755,7 +849,10 @@ def _read_layout(reader: cdr.Reader) -> np.dtype[np.void]:
     return rows
 
 
-def _parse_layout(reader: cdr.Reader) -> np.dtype[np.void]:
+def _parse_layout(
+    reader: cdr.Reader, allowed: Mapping[str, tuple[int, ...]] = _ALLOWED,
+    required: Sequence[str] = _REQUIRED,
+) -> np.dtype[np.void]:
     count, = reader.values('I')
     found: dict[str, tuple[int, int]] = {}
     for _ in range(count):
@@ -763,24 +860,24 @@ def _parse_layout(reader: cdr.Reader) -> np.dtype[np.void]:
         offset, = reader.values('I')
         datatype, = reader.values('B')
         elements, = reader.values('I')
-        if name not in _ALLOWED:
+        if name not in allowed:
             continue
         if name in found:
             raise MessageError(f'field {name} comes twice, must come once')
-        if datatype not in _ALLOWED[name]:
+        if datatype not in allowed[name]:
             raise MessageError(
                 f'field {name}: datatype {_datatype(datatype)} is not allowed, must be '
-                f'{" or ".join(map(_datatype, _ALLOWED[name]))}'
+                f'{" or ".join(map(_datatype, allowed[name]))}'
             )
         if elements != 1:
             raise MessageError(f'field {name}: count {elements} is not allowed, must be 1')
         found[name] = offset, datatype
     big_endian, = reader.values('B')
     step, = reader.values('I')
-    missing = [name for name in _REQUIRED if name not in found]
+    missing = [name for name in required if name not in found]
     if missing:
         raise MessageError(
-            f'fields {", ".join(missing)} are missing, must have at least {", ".join(_REQUIRED)}'
+            f'fields {", ".join(missing)} are missing, must have at least {", ".join(required)}'
         )
     if big_endian:
         raise MessageError('is_bigendian true is not supported, must be false')
@@ -806,30 +903,33 @@ def _datatype(value: int) -> str:
     return _DATATYPES[value - 1] if 1 <= value <= len(_DATATYPES) else str(value)
 
 
-def _encode_layout() -> bytes:
+def _encode_layout(rows: np.dtype[np.void], allowed: Mapping[str, tuple[int, ...]]) -> bytes:
     """Return the bytes of our own clouds from the fields to point_step."""
     writer = cdr.Writer()
-    writer.values('I', len(_OFFSETS))
-    for name, offset in _OFFSETS.items():
+    offsets = {name: field[1] for name, field in (rows.fields or {}).items()}
+    writer.values('I', len(offsets))
+    for name, offset in offsets.items():
         writer.string(name)
         writer.values('I', offset)
-        writer.values('B', _ALLOWED[name][0])
+        writer.values('B', allowed[name][0])
         writer.values('I', 1)
     writer.values('B', False)
-    writer.values('I', BEACON.itemsize)
+    writer.values('I', rows.itemsize)
     return writer.finish()[len(cdr.HEADER):]
 
 
-_BEACON_LAYOUT = _encode_layout()
+_BEACON_LAYOUT = _encode_layout(BEACON, _ALLOWED)
+_LINK_LAYOUT = _encode_layout(LINK, _LINK_FIELDS)
 
 
-def _encode_cloud(stamp: float, frame_id: str, words: Array) -> bytes:
+def _encode_cloud(stamp: float, frame_id: str, layout: bytes, rows: Array, dense: bool) -> bytes:
+    """Return a cloud of rows (K, ...) as they lie in memory."""
     writer = cdr.Writer()
     _write_header(writer, stamp, frame_id)
-    writer.values('II', 1, len(words))
-    writer.raw(_BEACON_LAYOUT)
-    data = words.tobytes()
+    writer.values('II', 1, len(rows))
+    writer.raw(layout)
+    data = rows.tobytes()
     writer.values('II', len(data), len(data))
     writer.raw(data)
-    writer.values('?', not np.isnan(words[:, list(_WORD.values())]).any())
+    writer.values('?', dense)
     return writer.finish()

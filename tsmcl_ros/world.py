@@ -27,7 +27,7 @@ from tsmcl_ros.model.mobility import (
 from tsmcl_ros.model.period import Schedule
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
-from tsmcl_ros.types import Array, ConfigError, Observation, PADDED
+from tsmcl_ros.types import Array, ConfigError, Links, Observation, PADDED
 
 # Each is made from its config, the number of vehicles, and a random generator of its own.
 MOBILITY: dict[str, tuple[type[Config], Callable[[Any, int, np.random.Generator], Mobility]]] = {
@@ -364,6 +364,37 @@ def receive(
            for name in ('sender', 'kind', 'hops', 'position', 'covariance')},
         **{name: getattr(measured, name)[0, mask] for name in ('range', 'range_std', 'rssi')},
     }, vehicles, dimension, stamp)
+
+
+def hear_each_other(channel: Channel, anchors: Observation, rng: np.random.Generator) -> Links:
+    """
+    Return with which rssi anchors hear each other, of those of which both hear the other.
+
+    Parameters
+    ----------
+    channel : Channel
+        A radio that measures rssi.
+    anchors : Observation
+        V = 1: see `anchor_table`.
+    rng : numpy.random.Generator
+        For what the channel draws.
+
+    Raises
+    ------
+    ConfigError
+        If the channel has no radio range.
+    """
+    position, identity = anchors.position[0], anchors.sender[0]
+    receiver, sender, distance = _within(channel.reach, position, position)
+    apart = receiver != sender
+    receiver, sender, distance = receiver[apart], sender[apart], distance[apart]
+    measured = channel.hear(distance[None], rng, identity[None, sender])
+    heard = np.zeros((len(identity), len(identity)), bool)
+    heard[receiver, sender] = measured.mask[0]
+    both = (heard & heard.T)[receiver, sender]
+    receiver, sender = receiver[both], sender[both]
+    return Links(identity[receiver], identity[sender], position[receiver], position[sender],
+                 measured.rssi[0, both])
 
 
 def anchor_table(position: Array, identity: Array | None = None) -> Observation:

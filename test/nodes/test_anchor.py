@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tsmcl_ros import messages
+from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.nodes.anchor import Anchor
 from tsmcl_ros.nodes.runtime import LATCHED_INPUT, main, RELIABLE
-from tsmcl_ros.world import make_world
+from tsmcl_ros.world import hear_each_other, make_world
 
 Start = Callable[..., Any]
 
@@ -72,6 +73,24 @@ def test_anchors_may_stand_in_a_file(probe: Any, start: Start, shared_data: Path
     np.testing.assert_allclose(table.position[0, :, :2], expected[:, 1:], rtol=1e-6)
 
 
+def test_anchors_whose_radio_measures_rssi_tell_how_they_hear_each_other(
+    probe: Any, start: Start,
+) -> None:
+    start('nodes.anchor', '--ros-args', '-p', 'anchor_rows:=2', '-p', 'measure_rssi:=true',
+          '-p', 'radio_range:=1500.0', '-p', 'seed:=3')
+    received = probe.collect('/anchor_links', messages.POINT_CLOUD, LATCHED_INPUT)
+    probe.expect(lambda: bool(received), 'the links')
+    found, frame_id = messages.decode_links(received[0])
+    anchors = make_world({'anchor_rows': 2}, np.random.default_rng(3)).anchors
+    expected = hear_each_other(
+        Channel(RadioConfig(radio_range=1500.0, measure_rssi=True)), anchors,
+        np.random.default_rng(3).spawn(4)[3])
+    assert frame_id == 'map'
+    assert found.sender.tolist() == expected.sender.tolist()
+    np.testing.assert_array_equal(found.rssi, expected.rssi)
+    np.testing.assert_array_equal(found.sender_position[:, :2], expected.sender_position)
+
+
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_node_without_a_complaint(start: Start, how: signal.Signals) -> None:
     anchors = start('nodes.anchor')
@@ -86,6 +105,7 @@ def test_a_signal_ends_the_node_without_a_complaint(start: Start, how: signal.Si
     ('anchor_layot:=grid', "--ros-args: unknown parameter 'anchor_layot', did you mean "
                            'anchor_layout'),
     ('anchor_file:=nowhere.csv', 'nowhere.csv: '),
+    ('measure_rssi:=true', 'radio_range: 0 is not allowed for a simulated disk radio'),
 ])
 def test_a_parameter_that_is_not_allowed_is_one_line_and_exit_code_1(
     capfd: pytest.CaptureFixture[str], override: str, complaint: str,

@@ -310,6 +310,35 @@ def test_malformed_messages_are_reported_and_the_node_goes_on(
     assert 'Traceback' not in localizer.output
 
 
+@pytest.mark.parametrize('method', ['mcb', 'r_mcl'])
+def test_anchors_and_a_localizer_by_rssi_agree_on_the_path_loss_over_dds(
+    begin: Callable[..., Scene], start: Start, capfd: pytest.CaptureFixture[str], method: str,
+) -> None:
+    radio = {'measure_rssi': True, 'radio_range': 1000.0, 'sigma_db': 2.0}
+    start('nodes.anchor', '--ros-args', *overrides(
+        anchor_rows=3, anchor_columns=3, seed=2, rssi_at_reference=-55.0, **radio))
+    scene = begin(method=method, motion_model='random', max_speed=50.0, **radio)
+    told: list[bytes] = []
+    scene.probe.listen('/anchor_links', messages.POINT_CLOUD, told.append, LATCHED_INPUT)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, make_world(
+        {'vehicles': 1, 'area_x': 3000.0, 'area_y': 3000.0, 'anchor_rows': 3,
+         'anchor_columns': 3, 'rssi_at_reference': -55.0, **radio},
+        np.random.default_rng(2)), ['/veh_0'])
+    bad = scene.probe.talk('/anchor_links', messages.POINT_CLOUD, LATCHED)
+    bad.publish(b'\0\1\0\0')
+    channel = scene.node._localizer
+    scene.until(lambda: source.is_heard() and bool(told) and channel.channel.path_loss(
+        np.array([0])).reference[0] < -50.0, 'a calibration')
+    for count in range(1, 4):
+        source.step()
+        scene.until(lambda count=count: len(poses) == count, 'a pose')
+    mean = messages.decode_pose(poses[-1]).position[:2]
+    assert np.linalg.norm(mean - source.world.mobility.state.position[0]) < 300
+    error = capfd.readouterr().err
+    assert error.count('/anchor_links: message rejected: ') == 1
+
+
 def cut(source: Path, target: Path, end: float) -> Path:
     """Write the beginning of a CSV log [s]."""
     target.mkdir()

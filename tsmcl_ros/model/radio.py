@@ -18,6 +18,7 @@ from tsmcl_ros.model.evidence import (
     ShadowedBoundary,
 )
 from tsmcl_ros.model.geometry import Reach
+from tsmcl_ros.model.links import fit_links
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
     draw_asymmetric,
@@ -25,7 +26,7 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Observation
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Observation
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,13 @@ class EvidenceConfig(Config):
     echo_guard: float = param(
         1.0, 'how wary to be of knowledge that other vehicles may have from oneself: 1 lets it '
         'flow from the more to the less certain only, 0 is no guard', low=0.0, high=100.0)
+    rssi_calibration: str = param(
+        'links', 'estimate P_0 and n from how anchors hear each other, but of anchors in '
+        'anchor_path_loss', choices=('off', 'links'))
+    link_neighbours: int = param(
+        8, 'nearest neighbours that an anchor is calibrated by, 0 for all', low=0, high=10_000)
+    path_loss_exponent_std: float = param(
+        0.5, 'how far off path_loss_exponent may be, before links tell', above=0.0, high=10.0)
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
@@ -208,6 +216,25 @@ class Channel:
         self.calibration = RangeCalibration(radio.range_scale, radio.range_bias)
         self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
+
+    def learn(self, links: Links) -> None:
+        """Calibrate the path loss by how anchors hear each other, if that is switched on."""
+        switches = self.switches
+        self._identity, self._path_loss = own, configured = PathLoss.table(self.radio)
+        links = links.without(own)
+        if switches.rssi_calibration == 'off' or not len(links.rssi):
+            return
+        rest = configured.of(np.array(-1))
+        fit = fit_links(
+            links, float(rest.reference), float(rest.exponent), float(rest.sigma),
+            switches.path_loss_exponent_std, switches.link_neighbours)
+        order = np.append(np.argsort(np.append(own, fit.identity)), -1)
+        exponent = np.full(len(fit.sigma), fit.exponent)
+        fitted = PathLoss(*(
+            np.append(known[:-1], found)[order].astype(np.float32) for known, found in (
+                (configured.reference, fit.reference), (configured.exponent, exponent),
+                (configured.sigma, fit.sigma))))
+        self._identity, self._path_loss = np.sort(np.append(own, fit.identity)), fitted
 
     @property
     def radio_range(self) -> float:

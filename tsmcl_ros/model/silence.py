@@ -108,7 +108,7 @@ class KnownAnchors:
         if self.mode == 'map':
             self._learn(news, np.ones((len(self.known), len(identity)), bool))
 
-    def check(self, observation: Observation) -> None:
+    def check(self, observation: Observation, what: str = 'beacons') -> None:
         """
         Hold that every anchor of the map is where the map has it, and no vehicle claims to be it.
 
@@ -129,7 +129,7 @@ class KnownAnchors:
         if len(wrong):
             first = wrong[0]
             raise MessageError(
-                f'beacons: anchor {observation.sender[vehicle[first], row[first]]} claims '
+                f'{what}: anchor {observation.sender[vehicle[first], row[first]]} claims '
                 f'{claim[first].tolist()} m, must be where the anchor map has it, '
                 f'{place[first].tolist()} m, to {_TOLERANCE:g} m')
 

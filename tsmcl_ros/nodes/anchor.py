@@ -10,9 +10,10 @@ import numpy as np
 from tsmcl_ros import messages
 from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.csv_log import read_anchors
+from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.types import Observation
-from tsmcl_ros.world import anchor_table, AnchorConfig, lay_out
+from tsmcl_ros.world import anchor_table, AnchorConfig, hear_each_other, lay_out
 
 
 @dataclass(frozen=True)
@@ -25,18 +26,19 @@ class BroadcastConfig(Config):
     first_id: int = param(0, 'identity of the first anchor of a layout, the others count on',
                           low=0, high=2**31)
     global_frame_id: str = param('map', 'frame of the positions')
-    seed: int = param(1, 'of the layout', low=0)
+    seed: int = param(1, 'of the layout, and of the rssi between anchors', low=0)
 
 
 class Anchor(runtime.Node):
     """
     Static anchors: broadcast their positions on /beacons every period.
 
-    All of them stand in the latched /anchor_map.
+    All of them stand in the latched /anchor_map; where the radio measures rssi, how they hear each
+    other stands in the latched /anchor_links.
     """
 
     default_name = 'anchor'
-    configs = (BroadcastConfig, AnchorConfig)
+    configs = (BroadcastConfig, AnchorConfig, RadioConfig)
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,6 +49,14 @@ class Anchor(runtime.Node):
         self._air = self.talk('/beacons', messages.POINT_CLOUD, runtime.SENSOR_DATA)
         self._map = self.talk('/anchor_map', messages.POINT_CLOUD, runtime.LATCHED)
         self._map.publish(messages.encode_beacons(anchors, self._config.global_frame_id)[0])
+        radio = build(RadioConfig, self.settings)
+        if radio.measure_rssi:
+            # After the generators that the layout and the world take: a seed keeps its layout.
+            *_, rng = np.random.default_rng(self._config.seed).spawn(4)
+            links = hear_each_other(Channel(radio), anchors, rng)
+            self._links = self.talk('/anchor_links', messages.POINT_CLOUD, runtime.LATCHED)
+            self._links.publish(
+                messages.encode_links(anchors.stamp, links, self._config.global_frame_id))
         self.every(self._config.beacon_period, self.transmit)
         self.get_logger().info(f'{anchors.sender.size} anchors')
 

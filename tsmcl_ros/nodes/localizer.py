@@ -27,6 +27,7 @@ _NAMES = {OK: 'OK', STALE: 'STALE', LOST: 'LOST'}
 _DIAGNOSTICS_PERIOD = 1.0  # s, real time
 _QOS = {
     'anchor_map': runtime.LATCHED_INPUT,
+    'anchor_links': runtime.LATCHED_INPUT,
     'beacons': runtime.SENSOR_DATA,
     'odom': runtime.SENSOR_DATA,
     'initialpose': runtime.RELIABLE,
@@ -37,8 +38,9 @@ class LocalizerNode(runtime.Node):
     """
     Localizer: tells where a vehicle is, from the beacons that it hears and its odometry.
 
-    Listens to beacons, odom and initialpose in its namespace and to /anchor_map; publishes pose,
-    particle_cloud, markers and /diagnostics, and beacon_period if it is to be adaptive.
+    Listens to beacons, odom and initialpose in its namespace, to /anchor_map and /anchor_links;
+    publishes pose, particle_cloud, markers and /diagnostics, and beacon_period if it is to be
+    adaptive.
     """
 
     default_name = 'localizer'

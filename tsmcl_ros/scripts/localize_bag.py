@@ -22,6 +22,7 @@ from tsmcl_ros.types import BagError, Estimate, MessageError
 # Carried over to the new bag, so that it can be evaluated by itself.
 _CONTEXT = {
     'anchor_map': messages.POINT_CLOUD,
+    'anchor_links': messages.POINT_CLOUD,
     'beacons': messages.POINT_CLOUD,
     'ground_truth': messages.ODOMETRY,
 }
