@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 import numpy as np
 from tsmcl_ros.evaluation.metrics import Comparison, nees_band
+from tsmcl_ros.evaluation.monte_carlo import Interval
 from tsmcl_ros.types import Array
 
 # The colour-blind-safe palette of Okabe and Ito (2008) without its black, which is the ink's part,
@@ -250,6 +251,33 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
     _label(ax, epoch, quantity)
     if legend:
         _legend(ax)
+
+
+def intervals_against(
+    ax: Axes, curves: Mapping[str, tuple[Sequence[float], Sequence[Interval]]], x_label: str,
+    y_label: str,
+) -> None:
+    """
+    Draw quantities with their intervals against what was varied.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    curves : mapping of label to (x, intervals)
+        Of the same length.
+    x_label, y_label : str
+        With units.
+    """
+    for index, (label, (x, intervals)) in enumerate(curves.items()):
+        value, low, high = np.array(intervals).T
+        style = _curve(index)
+        ax.plot(x, value, label=_shown(label), linewidth=1.3, marker='.' if len(x) < 50 else '',
+                **style)
+        ax.fill_between(x, low, high, color=style.get('color'), alpha=0.15, linewidth=0)
+    ax.set_ylim(bottom=0)
+    _label(ax, x_label, y_label)
+    _legend(ax)
 
 
 def save_png(figure: Figure, path: str | Path) -> None:

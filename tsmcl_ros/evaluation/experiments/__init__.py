@@ -1,6 +1,8 @@
 """The claims of the papers as experiments, by the names that users give."""
 
+from tsmcl_ros.evaluation.experiments.adaptive_period import ADAPTIVE
 from tsmcl_ros.evaluation.experiments.grey import Grey
+from tsmcl_ros.evaluation.experiments.period_factor import PeriodFactor
 from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import TsMclConvergence
 from tsmcl_ros.evaluation.monte_carlo import Experiment
 
@@ -13,4 +15,6 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
             grid_cell=100.0, exact_vehicles=2, lens_vehicles=10, lens_epochs=4)),
     'grey_straight': (Grey(turn=0.0), Grey(turn=0.0, runs=2, vehicles=50)),
     'grey_maneuver': (Grey(turn=35.0), Grey(turn=35.0, runs=2, vehicles=50)),
+    'period_factor': (PeriodFactor(), PeriodFactor(residuals=101)),
+    **ADAPTIVE,
 }
