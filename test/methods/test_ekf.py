@@ -208,3 +208,46 @@ def test_the_period_follows_the_residual() -> None:
 def test_nobody_asks_for_a_period_unless_told_to() -> None:
     estimate = make().update(ranged(np.full((1, 3), 150.0), field(), None))
     assert estimate.period_factor is None
+
+
+def anything(draw: np.random.Generator, dimension: int) -> Observation:
+    """Return four vehicles' beacons that say anything that messages may hold."""
+    observation = Observation.empty(4, int(draw.integers(0, 7)), dimension, 1.0)
+    shape = observation.sender.shape
+    observation.sender[:] = draw.integers(-1, 4, shape)
+    observation.hops[:] = draw.integers(1, 3, shape)
+    observation.position[:] = draw.choice([0.0, 1.0, -300.0, 1e5], (*shape, dimension))
+    variance = draw.choice([0.0, 1.0, 1e4], shape)
+    observation.covariance[:] = variance[:, :, None, None] * np.eye(dimension)
+    for name, low, high in (('max_range', 0.0, 1e5), ('range', 0.0, 1e5),
+                            ('range_std', 0.0, 1e3), ('rssi', -200.0, 50.0)):
+        measured = np.where(draw.random(shape) < 0.3, low, draw.uniform(low, high, shape))
+        getattr(observation, name)[:] = np.where(draw.random(shape) < 0.4, np.nan, measured)
+    return observation
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('dimension', [2, 3])
+@pytest.mark.parametrize(('motion', 'heading'), [
+    ('random', 'known'), ('velocity', 'known'), ('odometry', 'known'), ('odometry', 'unknown'),
+])
+def test_whatever_is_heard_and_driven_it_stays_finite(
+        motion: str, heading: str, dimension: int) -> None:
+    draw = np.random.default_rng(8)
+    for model in ('disk', 'lognormal'):
+        filter_ = make(4, dimension, {'motion_model': motion, 'odom_heading': heading},
+                       {'radio_model': model}, beacon_period='adaptive')
+        placed = np.zeros(4, bool)
+        for _ in range(5):
+            observation = anything(draw, dimension)
+            displacement = draw.choice([0.0, 5.0, -1e3, np.nan], (4, dimension))
+            filter_.predict(Motion(float(draw.choice([0.0, 1.0, 1e3])), displacement,
+                                   draw.normal(0, 1, 4)))
+            estimate = filter_.update(observation)
+            placed |= observation.heard.any(axis=1)
+            np.testing.assert_array_equal(np.isfinite(estimate.mean).all(axis=1), placed)
+            spread = np.linalg.eigvalsh(estimate.covariance[placed])
+            assert (spread > -1e-6 * np.abs(spread).max(initial=1.0)).all()
+            assert (np.isfinite(estimate.rotation) == (placed & (heading == 'unknown'))).all()
+            assert estimate.period_factor is not None
+            assert (estimate.period_factor >= 1).all()
