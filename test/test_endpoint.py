@@ -57,6 +57,32 @@ def test_a_single_vehicles_topics_are_relative():
     assert target.outputs == ['pose']
 
 
+def test_a_wanted_beacon_period_is_told_when_it_changes():
+    target = endpoint('/a', '/b', method='ekf', beacon_period='adaptive', motion_model='velocity',
+                      range_calibration='off')
+    assert target.period_outputs == ['/a/beacon_period', '/b/beacon_period']
+    told = []
+    for step in range(6):
+        for name in ('a', 'b'):
+            # The second one's ranges contradict where it has been.
+            off = 6.0 if (step, name) == (4, 'b') else 0.0
+            give(target, f'/{name}/beacons', encoded(scan(step, np.array([50.0 + off, 40.0]))))
+        told.append([(vehicle, messages.decode_period(data))
+                     for estimate in target.localizer.finish()
+                     for vehicle, data in target.periods(estimate)])
+    assert told[0] == [(0, 1), (1, 1)]
+    assert told[1] == [(0, 15), (1, 15)]
+    assert told[2] == told[3] == []
+    [(vehicle, factor)] = told[4]
+    assert vehicle == 1
+    assert factor < 15
+
+
+def test_a_method_that_wants_no_period_has_no_topic_for_it():
+    assert endpoint('/a', method='ekf').period_outputs == []
+    assert endpoint('/a', method='ts_mcl').period_outputs == []
+
+
 def test_each_topic_is_that_of_its_vehicle():
     target = endpoint('/a', '/b')
     give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))

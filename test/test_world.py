@@ -563,3 +563,20 @@ def test_a_vehicle_that_has_the_identity_of_an_anchor_is_refused() -> None:
     world.step()
     with pytest.raises(ConfigError, match='vehicle_id_offset: 1000000 is not allowed'):
         world.step(poses=known(VEHICLES))
+
+
+# How often vehicles want beacons
+
+
+def test_a_vehicle_that_asks_for_few_beacons_drives_on_without_them() -> None:
+    settings = {'vehicles': 2, 'anchor_rows': 2, 'anchor_columns': 2, 'radio_range': 1e5}
+    world, other = (make_world(settings, rng(3)) for _ in range(2))
+    heard = []
+    for period in range(9):
+        epoch, free = world.step(), other.step()
+        np.testing.assert_array_equal(epoch.position, free.position)
+        heard.append(epoch.observation.heard.sum(axis=1).tolist())
+        if period == 0:
+            world.schedule.ask(1, 4)
+    assert heard == [[4, 4], *[[4, 0]] * 3, [4, 4], *[[4, 0]] * 3, [4, 4]]
+    assert world.schedule.localizations.tolist() == [36, 12]
