@@ -251,7 +251,7 @@ def start(filter_: TsMcl, *at: float, std: float = 1.0) -> None:
 
 
 def test_an_update_repairs_the_particles_that_explain_least() -> None:
-    filter_ = ts_mcl()
+    filter_ = ts_mcl(prior_bandwidth=0.0, aspiration=0.5)
     start(filter_, 100.0, std=20.0)
     before = filter_.particles.copy()
     evidence = filter_.channel.evidence(listen([(0.0, 0.0)]))
@@ -261,6 +261,27 @@ def test_an_update_repairs_the_particles_that_explain_least() -> None:
     assert (filter_.particles[0, ~good] != before[0, ~good]).any(axis=1).mean() > 0.9
     assert evidence.log_likelihood(filter_.particles).mean() > evidence.log_likelihood(
         before).mean() / 4
+
+
+def test_a_cloud_of_which_enough_particles_are_likely_is_left_to_resampling() -> None:
+    filter_ = ts_mcl()
+    start(filter_, 95.0, std=10.0)
+    before = filter_.particles.copy()
+    filter_.repair(filter_.channel.evidence(listen([(0.0, 0.0)])))
+    np.testing.assert_array_equal(filter_.particles, before)
+
+
+def test_repaired_clouds_are_weighed_by_what_was_predicted() -> None:
+    # Two ranges leave two places, 11 and 109 m along x; the prediction favours the second one.
+    share = {}
+    for bandwidth in (0.0, 0.3):
+        filter_ = ts_mcl(100, prior_bandwidth=bandwidth, min_particles=200)
+        start(filter_, *[100.0] * 100, std=40.0)
+        filter_.update(listen(*[[(60.0, 50.0), (60.0, -50.0)]] * 100, range=70.0, range_std=1.0))
+        share[bandwidth] = (filter_.particles[:, :, 0] < 60.0).mean()
+    right, left = stats.norm(100.0, 40.0).pdf([109.0, 11.0])
+    exact = left / (left + right)
+    assert abs(share[0.3] - exact) < 0.5 * abs(share[0.0] - exact)
 
 
 def test_a_repair_returns_the_log_likelihood_of_what_it_repaired() -> None:
@@ -294,7 +315,7 @@ def test_a_repair_steps_as_far_as_each_vehicle_s_cloud_is_wide() -> None:
 
 def test_nobody_s_particles_move_for_what_another_hears() -> None:
     filter_ = ts_mcl(3)
-    start(filter_, 100.0, 100.0)
+    start(filter_, 110.0, 110.0)
     before = filter_.particles.copy()
     filter_.repair(filter_.channel.evidence(listen([(0.0, 0.0)], [], [])))
     np.testing.assert_array_equal(filter_.particles[1:], before[1:])
@@ -332,7 +353,7 @@ def test_a_cloud_that_hardly_overlaps_what_is_heard_is_saved_by_the_search() -> 
         start(filter_, *[115.0] * 20, std=5.0)
         sizes[iterations] = np.median(filter_.update(listen(*[[(0.0, 0.0)]] * 20)).ess)
     assert sizes[0] < 3
-    assert sizes[10] > 20
+    assert sizes[10] > 2 * sizes[0]
 
 
 def test_who_starts_anew_searches_from_every_candidate() -> None:

@@ -116,8 +116,8 @@ def test_placing_keeps_the_likely_candidates() -> None:
         assert np.linalg.norm(one.particles[0] - [x, 0.0], axis=1).max() < 101.0
 
 
-def test_placing_searches_from_every_candidate_if_told_to() -> None:
-    one = cloud(max_particles=300)
+def test_placing_searches_from_every_candidate_where_too_few_are_likely() -> None:
+    one = cloud(min_particles=290, max_particles=300)
 
     def search(points: np.ndarray, likelihood: np.ndarray, owner: np.ndarray,
                scale: np.ndarray, _: Evidence) -> tuple[np.ndarray, np.ndarray]:
@@ -129,6 +129,14 @@ def test_placing_searches_from_every_candidate_if_told_to() -> None:
 
     one.place(evidence(ONE), search)
     np.testing.assert_array_equal(one.particles, 7.0)
+
+
+def test_placing_searches_nothing_where_enough_candidates_are_likely() -> None:
+    one = cloud(max_particles=3000)
+    one.place(evidence(ONE), None)
+    other = cloud(max_particles=3000)
+    other.place(evidence(ONE), lambda *_: pytest.fail('searched'))
+    np.testing.assert_array_equal(one.particles, other.particles)
 
 
 def test_placing_leaves_alone_who_has_a_place() -> None:
@@ -416,3 +424,22 @@ def test_a_filter_passes_priors_motion_and_forgetting_on_to_its_cloud() -> None:
 def test_spread_is_the_root_mean_square_of_the_axes_standard_deviations() -> None:
     points = rng().normal(0, [3.0, 4.0], (2, MANY, 2)).astype(np.float32)
     np.testing.assert_allclose(spread(points), math.sqrt((9 + 16) / 2), rtol=0.02)
+
+
+def test_clouds_whose_weights_would_gather_on_few_particles_are_depleted() -> None:
+    both = cloud(vehicles=2, min_particles=100)
+    likelihood = np.zeros((2, 100), np.float32)
+    likelihood[1, 30:] = -50.0
+    assert both.depleted(likelihood).tolist() == [False, True]
+
+
+def test_moved_particles_are_favoured_where_the_prediction_was_dense() -> None:
+    one = cloud(min_particles=2000)
+    predicted = np.random.default_rng(1).normal(0.0, 10.0, (1, 2000, 2)).astype(np.float32)
+    moved = np.random.default_rng(2).normal(6.0, 10.0, (1, 2000, 2)).astype(np.float32)
+    one.states[:] = moved
+    one.favour(np.array([0]), predicted, 0.3)
+    mean = (one.weights[0, :, None] * moved[0]).sum(axis=0)
+    # A part of the particles as kernels leaves some error of 10 / sqrt(64) m.
+    np.testing.assert_allclose(mean, 0.0, atol=2.5)
+    assert one.weights.sum() == pytest.approx(1.0, abs=1e-5)

@@ -10,6 +10,7 @@ import pytest
 from scipy import special, stats
 from tsmcl_ros.model.particles import (
     effective_sample_size,
+    kernel_density,
     moments,
     normalize,
     systematic_resample,
@@ -158,3 +159,22 @@ def test_the_covariance_of_a_cloud_far_from_the_origin_is_exact() -> None:
     particles = (1e5 + offsets).astype(np.float32)[None]
     _, covariance = moments(particles, np.full((1, 2), 0.5, np.float32))
     np.testing.assert_allclose(covariance[0], [[0.25, -0.125], [-0.125, 0.0625]], atol=1e-9)
+
+
+# Density
+
+
+def test_kernel_densities_are_scipys() -> None:
+    points, kernels = rng().normal(size=(2, 30, 2)), rng(2).normal(size=(2, 12, 2))
+    width = np.array([0.3, 0.7])
+    density = kernel_density(points, kernels, width)
+    for vehicle in range(2):
+        expected = np.mean([
+            stats.multivariate_normal(kernel, width[vehicle] ** 2 * np.eye(2)).pdf(points[vehicle])
+            for kernel in kernels[vehicle]], axis=0) * 2 * np.pi * width[vehicle] ** 2
+        np.testing.assert_allclose(density[vehicle], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_far_from_all_kernels_a_density_is_small_but_not_zero() -> None:
+    density = kernel_density(np.full((1, 1, 2), 1e5), np.zeros((1, 4, 2)), np.ones(1))
+    assert 0 < density[0, 0] < 1e-5

@@ -5,6 +5,12 @@ Sun, Wang, Zhang: tabu search Monte Carlo localization, 2016. Two resolutions: t
 neighbourhood of 1 m, here it is the standard deviation of the predicted cloud, so that the search
 matches the uncertainty at every stage; and scores are not normalized over the particles, because
 normalized ones are about 1/N and could never pass the aspiration threshold.
+
+The threshold is 0.9, not the paper's 0.5: with the silence of a map, sixteen terms of 0.5 would
+make a likelihood of 1e-5 good enough. And one addition: the paper's search goes wherever the
+newest evidence is satisfied, and so undoes what the vehicle's way has ruled out. Here it serves
+only clouds that are about to be depleted, and a repaired cloud is weighed by how likely the
+prediction was where its particles are now.
 """
 
 from __future__ import annotations
@@ -36,7 +42,11 @@ class TsMclConfig(CloudConfig):
     neighbourhood_floor: float = param(
         0.5, 'least length of a full step', unit='m', low=0.0)
     aspiration: float = param(
-        0.5, 'score above which a particle is good enough', above=0.0, high=1.0)
+        0.9, 'score above which a particle is good enough', above=0.0, high=1.0)
+    prior_bandwidth: float = param(
+        0.3, "smoothing of the predicted density that repaired clouds are weighed by, in "
+        "standard deviations of the cloud; 0 for the paper's way, which repairs every poor "
+        'particle whatever was predicted', low=0.0, high=10.0)
 
 
 class TsMcl(ParticleFilter):
@@ -71,12 +81,19 @@ class TsMcl(ParticleFilter):
         """
         particles = self.cloud.particles
         log_likelihood = evidence.log_likelihood(particles)
-        poor = score(log_likelihood, evidence.terms[:, None]) <= self.config.aspiration
-        owner, index = np.nonzero(poor & self.cloud.placed[:, None])
-        if len(owner) and self.config.max_iterations:
-            particles[owner, index], log_likelihood[owner, index] = self.search(
-                particles[owner, index], log_likelihood[owner, index], owner,
-                spread(particles)[owner], evidence)
+        good = score(log_likelihood, evidence.terms[:, None]) > self.config.aspiration
+        which = self.cloud.placed & ~good.all(axis=1)
+        if self.config.prior_bandwidth > 0:
+            which &= self.cloud.depleted(log_likelihood) | ~good.any(axis=1)
+        owner, index = np.nonzero(~good & which[:, None])
+        if not len(owner) or not self.config.max_iterations:
+            return log_likelihood
+        predicted = particles.copy()
+        particles[owner, index], log_likelihood[owner, index] = self.search(
+            particles[owner, index], log_likelihood[owner, index], owner,
+            spread(particles)[owner], evidence)
+        if self.config.prior_bandwidth > 0:
+            self.cloud.favour(np.flatnonzero(which), predicted, self.config.prior_bandwidth)
         return log_likelihood
 
     def search(self, points: Array, log_likelihood: Array, owner: Array, scale: Array,

@@ -12,12 +12,18 @@ from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
     effective_sample_size,
+    kernel_density,
     moments,
     normalize,
     systematic_resample,
 )
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
+
+# Kernels that the density of a cloud is estimated by, and the most that a particle's weight grows
+# where it says that too few of them are.
+_KERNELS = 64
+_MOST_FAVOURED = 20.0
 
 # Improves points (M, D) [m] and their log-likelihoods (M,), given the vehicles (M,), a length
 # scale (M,) [m] and the evidence.
@@ -193,6 +199,39 @@ class Cloud:
         self._equalize(self._drawn)
         self._drawn[:] = False
 
+    def depleted(self, log_likelihood: Array) -> Array:
+        """Return the vehicles (V,) bool whose clouds this evidence (V, N) would have resampled."""
+        with np.errstate(divide='ignore'):
+            weights, _ = normalize(np.log(self.weights) + log_likelihood)
+        return self._is_depleted(weights)
+
+    def favour(self, vehicle: Array, predicted: Array, bandwidth: float) -> None:
+        """
+        Multiply the weights of moved particles by predicted over present density.
+
+        That is importance sampling with the moved cloud as the proposal. Both densities are
+        estimated by the same kernels at a part of the particles, drawn by their weights.
+
+        Parameters
+        ----------
+        vehicle : (U,) int
+            Vehicles whose particles were moved.
+        predicted : (V, N, D) float32
+            Where all particles were before [m].
+        bandwidth : float
+            Of the kernels, in standard deviations of the predicted cloud.
+        """
+        before, now, weights = predicted[vehicle], self.particles[vehicle], self.weights[vehicle]
+        count = min(_KERNELS, weights.shape[1])
+        kernels = systematic_resample(weights, count, self.rng)[:, :, None]
+        width = np.maximum(np.float32(bandwidth) * spread(before), np.float32(1e-3))
+        ratio = (
+            kernel_density(now, np.take_along_axis(before, kernels, axis=1), width)
+            / kernel_density(now, np.take_along_axis(now, kernels, axis=1), width))
+        # A particle far from all kernels, which the moved cloud has as well, proves nothing.
+        weights = weights * np.minimum(ratio, _MOST_FAVOURED)
+        self.weights[vehicle] = weights / weights.sum(axis=1, keepdims=True)
+
     def estimate(self, observation: Observation) -> Estimate:
         """Return the weighted mean and covariance of every vehicle's cloud."""
         mean, covariance = moments(self.particles, self.weights)
@@ -210,8 +249,7 @@ class Cloud:
     def resample(self) -> None:
         """Resample the clouds whose effective sample size has fallen too low."""
         count = self.weights.shape[1]
-        low = self.placed & (
-            effective_sample_size(self.weights) < self.config.resample_threshold * count)
+        low = self.placed & self._is_depleted(self.weights)
         if not low.any():
             return
         index = systematic_resample(self.weights[low], count, self.rng)
@@ -221,6 +259,11 @@ class Cloud:
         position += np.float32(self.config.jitter) * spread(position)[:, None, None] * noise
         self.states[low] = states
         self._equalize(low)
+
+    def _is_depleted(self, weights: Array) -> Array:
+        """Return whether the effective sample size of weights (V, N) has fallen too low."""
+        return np.asarray(effective_sample_size(weights)
+                          < self.config.resample_threshold * weights.shape[1])
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
@@ -234,10 +277,14 @@ class Cloud:
         owner = np.repeat(vehicle, many)
         flat = candidates.reshape(-1, self.dimension)
         likelihood = evidence.log_likelihood_of(flat, owner)
-        if repair is not None:
-            flat, likelihood = repair(
-                flat, likelihood, owner, np.repeat(spread(candidates), many), evidence)
         weights, _ = normalize(likelihood.reshape(shape[:2]))
+        # Enough candidates that are likely as drawn are uniform; repaired ones crowd at edges.
+        scarce = np.repeat(effective_sample_size(weights) < few, many)
+        if repair is not None and scarce.any():
+            flat[scarce], likelihood[scarce] = repair(
+                flat[scarce], likelihood[scarce], owner[scarce],
+                np.repeat(spread(candidates), many)[scarce], evidence)
+            weights, _ = normalize(likelihood.reshape(shape[:2]))
         self.fill(vehicle, flat.reshape(shape), weights)
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
         self._doubts[vehicle] = 0

@@ -48,6 +48,23 @@ def systematic_resample(weights: Array, count: int, rng: np.random.Generator) ->
     return np.repeat(particle.ravel(), copies.ravel()).reshape(vehicles, count)
 
 
+def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
+    """
+    Return the mean of Gaussian kernels at points (V, P, D), (V, P) float32 above 0.
+
+    The kernels stand at (V, S, D) [m] and have peaks of 1 and standard deviations `width` (V,)
+    [m]. What is nearly 0 becomes 1e-6 of a kernel, so that ratios of densities stay finite.
+    """
+    scale = (1 / width)[:, None, None]
+    middle = kernels.mean(axis=1, keepdims=True)
+    points, kernels = (points - middle) * scale, (kernels - middle) * scale
+    exponent = points @ np.swapaxes(kernels, 1, 2)
+    exponent -= 0.5 * np.square(points).sum(axis=2)[:, :, None]
+    exponent -= 0.5 * np.square(kernels).sum(axis=2)[:, None, :]
+    count = kernels.shape[1]
+    return np.asarray((np.exp(exponent).sum(axis=2) + np.float32(1e-6)) / count)
+
+
 def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     """
     Return the weighted mean (V, D) [m] and covariance (V, D, D) [m^2], in float64.
