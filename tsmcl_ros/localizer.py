@@ -62,8 +62,8 @@ class LocalizerConfig(Config):
         2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0)
     outage_predictor: str = param(
         'velocity', "what predicts a vehicle that hears nothing and has no odometry: the way its "
-        "velocity used to be kept or lost, or none, the method's own motion model",
-        choices=('velocity', 'none'))
+        "velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, "
+        "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'), read_only=True)
     stale_after: float = param(
         5.0, 'call an estimate stale when no beacon was heard for this long',
         unit='s', above=0.0)
@@ -163,7 +163,8 @@ class Localizer:
         self.channel.learn(self._links)
         self._anchors.forget()
         self._odometry = OdometryBuffer(self.vehicles)
-        self._outage = OutagePredictor(self.vehicles, self.config.dimension)
+        self._outage = OutagePredictor(
+            self.vehicles, self.config.dimension, self.config.outage_predictor == 'grey_ekf')
         self._awaits_odometry = False
         self._method: Estimator | None = None
         self._pending: dict[float, dict[int, Observation]] = {}
@@ -330,6 +331,8 @@ class Localizer:
             if self._awaits_odometry and motion is not None:
                 self._adopt_odometry(self._estimate)
             self._method.predict(motion or Motion(stamp - self._estimate.stamp))
+        for prior in self._outage.resume(stamp, observation.heard.any(axis=1)):
+            self._method.start(prior)
         for prior in self._priors:
             self._method.start(self._rotated(prior))
             self._outage.forget(prior.vehicle)
@@ -337,13 +340,14 @@ class Localizer:
         observation = self._guarded(self._listen(observation))
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
-        estimate = self._through_outage(estimate, motion)
+        estimate = self._through_outage(estimate, observation, motion)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
         self._reinitializations += estimate.reinitialized
         return estimate
 
-    def _through_outage(self, estimate: Estimate, motion: Motion | None) -> Estimate:
+    def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None
+                        ) -> Estimate:
         """
         Return the estimate with those vehicles predicted that hear nothing.
 
@@ -355,8 +359,8 @@ class Localizer:
                 or self.motion_config.motion_model == 'random'):
             return estimate
         self._outage.forget(estimate.reinitialized)
+        self._outage.learn(estimate, observation)
         heard = estimate.heard > 0
-        self._outage.learn(estimate, heard)
         if motion is not None and motion.displacement is not None:
             heard = heard | np.isfinite(motion.displacement).all(axis=1)
         return self._outage.replace(estimate, ~heard)

@@ -317,6 +317,8 @@ class Prior:
         Rotation from the odometry frame to the map [rad]; None if unknown.
     yaw_std : float
         [rad].
+    velocity_std : float or None
+        Of each axis of the velocity, around 0 [m/s]; None if unknown.
     """
 
     vehicle: int
@@ -324,6 +326,7 @@ class Prior:
     covariance: Array
     yaw: float | None = None
     yaw_std: float = 0.0
+    velocity_std: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

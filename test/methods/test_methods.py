@@ -162,6 +162,18 @@ def test_correlated_velocity_is_that_of_a_kalman_filter(method: str) -> None:
             estimate.covariance[0], covariance[:2, :2], atol=0.1 * std ** 2)
 
 
+@pytest.mark.parametrize('method', [*PARTICLES, *GAUSSIAN])
+def test_a_prior_may_know_how_fast_a_vehicle_goes(method: str) -> None:
+    filter_ = make(method, motion={'motion_model': 'velocity', 'acceleration_std': 0.01},
+                   particles=5000)
+    filter_.start(Prior(0, np.zeros(2), 4.0 * np.eye(2), velocity_std=3.0))
+    filter_.predict(Motion(10.0))
+    estimate = filter_.update(Observation.empty(1, 0, 2, 2.0))
+    # 5000 particles have a standard error of 2 % in the variance.
+    np.testing.assert_allclose(
+        estimate.covariance[0], (4.0 + 900.0) * np.eye(2), atol=0.08 * 904.0)
+
+
 # Against geometry: two anchors heard leave a lens
 
 

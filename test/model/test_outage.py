@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from copy import deepcopy
+import math
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 from tsmcl_ros.model.history import BRIDGED
 from tsmcl_ros.model.outage import OutagePredictor, SLOTS
-from tsmcl_ros.types import Estimate
+from tsmcl_ros.types import Estimate, Observation
 
 
 def estimate(stamp, mean, variance=1.0):
@@ -22,11 +23,18 @@ def estimate(stamp, mean, variance=1.0):
         unknown, 0, unknown, np.ones(vehicles, int), np.zeros(vehicles, bool))
 
 
+def heard(vehicles=1, dimension=2, which=None):
+    """Return an observation in which vehicles, or some of them, hear a reference at the origin."""
+    observation = Observation.empty(vehicles, 1, dimension, 0.0)
+    observation.sender[slice(None) if which is None else which] = 1
+    return observation
+
+
 def learned(way, period=1.0, variance=1.0):
     """Return a predictor that was told a way (T, V, D) [m], and the time of its end."""
     predictor = OutagePredictor(way.shape[1], way.shape[2])
     for step, position in enumerate(way):
-        predictor.learn(estimate(step * period, position, variance), np.ones(len(position), bool))
+        predictor.learn(estimate(step * period, position, variance), heard(*position.shape))
     return predictor, (len(way) - 1) * period
 
 
@@ -144,7 +152,7 @@ def test_epochs_of_any_period_are_brought_to_even_times():
     uneven = OutagePredictor(1, 2)
     stamps = [*np.sort(np.random.default_rng(3).uniform(0, end, 200)).tolist(), end]
     for stamp in stamps:
-        uneven.learn(estimate(stamp, [3 * stamp, -4 * stamp]), np.ones(1, bool))
+        uneven.learn(estimate(stamp, [3 * stamp, -4 * stamp]), heard())
 
     np.testing.assert_allclose(
         ahead(uneven, end + 8.0).mean, ahead(even, end + 8.0).mean, atol=1.0)
@@ -152,10 +160,9 @@ def test_epochs_of_any_period_are_brought_to_even_times():
 
 def test_a_pause_too_long_to_bridge_is_no_part_of_the_past():
     predictor = OutagePredictor(1, 2)
-    here = np.ones(1, bool)
     for stamp in range(40):
-        predictor.learn(estimate(float(stamp), [stamp, 0.0]), here)
-    predictor.learn(estimate(39 + BRIDGED + 1, [1e4, 0.0]), here)
+        predictor.learn(estimate(float(stamp), [stamp, 0.0]), heard())
+    predictor.learn(estimate(39 + BRIDGED + 1, [1e4, 0.0]), heard())
 
     # One position after the pause gives no velocity, and so it stays where it was seen.
     assert ahead(predictor, 75.0).mean[0, 0] == 1e4
@@ -214,3 +221,57 @@ def test_heights_are_predicted_as_well():
     predictor, end = learned(straight(60, (1.0, 2.0, 0.5)))
 
     assert ahead(predictor, end + 4.0, dimension=3).mean[0, 2] == pytest.approx(31.5, abs=0.5)
+
+
+def test_an_outage_does_not_use_up_the_past():
+    predictor, end = learned(walks(1, 100))
+    spread = [np.trace(ahead(predictor, end + step).covariance[0]) for step in (50, 1000, 5000)]
+
+    assert spread[0] < spread[1] < spread[2]
+
+
+def test_a_method_that_is_much_less_certain_is_told_where_the_vehicle_is_when_heard_again():
+    lanes = 20 * np.abs((np.arange(300.0) / 20) % 2 - 1)
+    predictor, end = learned(np.stack([lanes, 0 * lanes], axis=1)[:, None])
+    everybody = np.ones(1, bool)
+    lost = estimate(end + 60, [500.0, 0.0], variance=1e6)
+    predicted = predictor.replace(lost, everybody)
+
+    prior, = predictor.resume(end + 60.5, everybody)
+
+    np.testing.assert_allclose(prior.mean, predicted.mean[0], atol=1.0)
+    np.testing.assert_allclose(prior.covariance, predicted.covariance[0], rtol=0.1, atol=1e-9)
+    # It goes at 1 m/s along one of two axes.
+    assert prior.velocity_std == pytest.approx(math.sqrt(1 / 2), rel=0.1)
+
+
+@pytest.mark.parametrize(('variance', 'after', 'lanes'), [
+    (1.0, 60, True),  # the method knows as much
+    (1e6, 3, True),  # its velocity still counts
+    (1e6, 20, False)])  # and is kept on a straight way
+def test_other_methods_go_on_by_themselves(variance, after, lanes):
+    way = 20 * np.abs((np.arange(300.0) / 20) % 2 - 1) if lanes else np.arange(300.0)
+    predictor, end = learned(np.stack([way, 0 * way], axis=1)[:, None])
+    everybody = np.ones(1, bool)
+    predictor.replace(estimate(end + after, [0.0, 0.0], variance), everybody)
+
+    assert predictor.resume(end + after + 0.5, everybody) == []
+    assert predictor.resume(end + after + 0.5, ~everybody) == []
+
+
+def test_a_grey_azimuth_leads_around_a_bend():
+    angle = 0.02 * np.arange(200.0)
+    way = 300 * np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+    truth = 300 * np.array([math.cos(0.02 * 205), math.sin(0.02 * 205)])
+    off = {}
+    for grey in (False, True):
+        predictor = OutagePredictor(1, 2, grey)
+        for stamp, position in enumerate(way):
+            predictor.learn(estimate(float(stamp), position), heard())
+        predicted = ahead(predictor, 205.0)
+        off[grey] = np.linalg.norm(predicted.mean[0] - truth)
+        spread = np.trace(predicted.covariance[0])
+
+    assert off[True] < off[False]
+    predictor.grey = False
+    assert np.trace(ahead(predictor, 205.0).covariance[0]) == pytest.approx(spread)

@@ -29,7 +29,7 @@ from tsmcl_ros.nodes.runtime import (
 )
 from tsmcl_ros.scripts import import_csv
 from tsmcl_ros.scripts.localize_bag import localize_bag
-from tsmcl_ros.types import Odometry
+from tsmcl_ros.types import Observation, Odometry
 from tsmcl_ros.world import make_world, World
 from visualization_msgs.msg import MarkerArray
 import yaml
@@ -283,6 +283,28 @@ def test_while_no_message_comes_poses_are_predicted_as_the_clock_goes_on(
     assert [pose.stamp for pose in decoded] == [1.0, 2.0, 4.0, 6.0]
     spread = [np.trace(pose.covariance[:2, :2]) for pose in decoded]
     assert spread[1] < spread[2] < spread[3]
+
+
+def test_the_grey_ekf_goes_on_by_itself_when_beacons_stop(begin: Callable[..., Scene]) -> None:
+    # Silent scans go on with the stamps of the radio, which hears nothing any more.
+    scene = begin(method='grey_ekf', motion_model='velocity', range_std=1.0, max_wait=0.0)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    beacons = scene.probe.talk('beacons', messages.POINT_CLOUD, SENSOR_DATA)
+    scene.until(lambda: beacons.get_subscription_count() == 1, 'the localizer to listen')
+    corners = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+    for stamp in range(1, 21):
+        place = np.array([20.0 + 2 * stamp, 30.0])
+        scan = Observation.empty(1, 3 if stamp <= 10 else 0, 3, float(stamp))
+        if stamp <= 10:
+            scan.sender[0], scan.position[0, :, :2] = (1, 2, 3), corners
+            scan.range[0] = np.linalg.norm(corners - place, axis=1)
+        beacons.publish(messages.encode_beacons(scan, 'map')[0])
+        scene.until(lambda stamp=stamp: len(poses) == stamp, 'a pose')
+    decoded = [messages.decode_pose(data) for data in poses]
+    assert np.linalg.norm(decoded[9].position[:2] - [40.0, 30.0]) < 3
+    assert np.linalg.norm(decoded[-1].position[:2] - place) < 15
+    spread = [np.trace(pose.covariance[:2, :2]) for pose in decoded[9:]]
+    assert (np.diff(spread) > 0).all()
 
 
 def test_malformed_messages_are_reported_and_the_node_goes_on(

@@ -8,12 +8,11 @@ for a measurement, whose variance grows with the horizon.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from tsmcl_ros.model.gaussian import azimuth_of, innovation_variance, update
 from tsmcl_ros.model.grey import predict_azimuth
 from tsmcl_ros.model.history import History, SLOT
+from tsmcl_ros.model.mobility import wrap
 from tsmcl_ros.types import Array
 
 VALUES = 5  # of a series, the paper's n
@@ -79,31 +78,22 @@ class AzimuthLead:
         which : (V,) bool
             Who is not heard.
         """
-        series, time, known = self._history.last(VALUES)
-        which = which & known
+        predicted, variance = grey_azimuth(self._history, self._station, stamp)
+        which = which & np.isfinite(variance)
         if not which.any():
             return mean, covariance
-        dimension = series.shape[2]
-        seen = series[:, :, :2] - self._station[:, None]
-        steps = np.where(which, np.maximum((stamp - time) / SLOT, 0), 0)
-        predicted = predict_azimuth(np.arctan2(seen[:, :, 1], seen[:, :, 0]), steps)
-        variance = np.where(which, self._variance() * growth(steps), np.inf)
+        dimension = self._history.mean.shape[1]
+        variance = np.where(which, variance, np.inf)
         azimuth, gradient = self._see(mean)
         certain = innovation_variance(covariance, gradient, np.zeros(len(mean)))
-        residual = np.where(which, _wrapped(predicted - azimuth), 0)
+        residual = np.where(which, wrap(predicted - azimuth), 0)
         mean, covariance = update(mean, covariance, gradient, residual, variance)
         azimuth, _ = self._see(mean)
-        surprising = np.abs(_wrapped(predicted - azimuth)) > self.threshold
+        surprising = np.abs(wrap(predicted - azimuth)) > self.threshold
         self._history.learn(
             stamp, mean[:, :dimension], covariance[:, :dimension, :dimension],
             which & surprising & (certain < variance))
         return mean, covariance
-
-    def _variance(self) -> Array:
-        """Return the variance (V,) of the last azimuths, above 0 [rad^2]."""
-        _, gradient = self._see(self._history.mean)
-        return np.maximum(innovation_variance(
-            self._history.covariance, gradient, np.zeros(len(gradient))), _LEAST)
 
     def _see(self, mean: Array) -> tuple[Array, Array]:
         """Return the azimuths (V,) [rad] of means (V, n), and their gradients (V, n)."""
@@ -111,6 +101,34 @@ class AzimuthLead:
         gradient = np.zeros(mean.shape)
         gradient[:, :2] = slope
         return azimuth, gradient
+
+
+def grey_azimuth(history: History, station: Array, stamp: float) -> tuple[Array, Array]:
+    """
+    Return the azimuths (V,) [rad] that GM(1,1) predicts at a time, and their variances.
+
+    Parameters
+    ----------
+    history : History
+        Of V vehicles; the series are the azimuths of its last positions.
+    station : (V, 2) float
+        From where they are seen [m].
+    stamp : float
+        [s].
+
+    Returns
+    -------
+    azimuth, variance : (V,) float
+        [rad], not wrapped; [rad^2], above 0, infinite where the history is too short.
+    """
+    series, time, known = history.last(VALUES)
+    seen = series[:, :, :2] - station[:, None]
+    steps = np.where(known, np.maximum((stamp - time) / SLOT, 0), 0)
+    predicted = predict_azimuth(np.arctan2(seen[:, :, 1], seen[:, :, 0]), steps)
+    _, slope = azimuth_of(history.mean[:, :2], station)
+    variance = innovation_variance(history.covariance[:, :2, :2], slope, np.zeros(len(slope)))
+    variance = np.maximum(variance, _LEAST) * growth(steps)
+    return predicted, np.where(known, variance, np.inf)
 
 
 def farthest(mean: Array, reference: Array, used: Array) -> Array:
@@ -133,8 +151,3 @@ def growth(steps: Array) -> Array:
     middle = (VALUES - 1) / 2
     return np.asarray(
         1 + 1 / VALUES + 12 * (steps + middle) ** 2 / (VALUES * (VALUES ** 2 - 1)))
-
-
-def _wrapped(angle: Array) -> Array:
-    """Return angles [rad] within -pi and pi."""
-    return np.asarray(math.pi - np.mod(math.pi - angle, 2 * math.pi))

@@ -112,6 +112,9 @@ class Cloud:
         if self.motion.heading and prior.yaw is not None:
             self.states[index, :, self.dimension] = (
                 prior.yaw + prior.yaw_std * self.rng.standard_normal(count))
+        elif self.motion.extra and prior.velocity_std is not None:
+            self.states[index, :, self.dimension:] = prior.velocity_std * (
+                self.rng.standard_normal((count, self.motion.extra)))
         self._equalize(index)
         self.placed[index] = True
 

@@ -66,11 +66,13 @@ class Cruising:
         self.extra = motion.extra
 
     def begin(self, prior: Prior | None = None) -> tuple[Array, Array]:
-        """Return the velocity [m/s] of a vehicle of which nothing is known."""
+        """Return a velocity [m/s] known as well as the prior does, or not at all."""
         config = self._motion.config
         variance = config.max_speed ** 2 / (self.extra + 2)
         if config.speed_decay > 0:
             variance = config.acceleration_std ** 2 * config.speed_decay / 2
+        if prior is not None and prior.velocity_std is not None:
+            variance = prior.velocity_std ** 2
         return np.zeros(self.extra), variance * np.eye(self.extra)
 
     def predict(self, mean: Array, covariance: Array, motion: Motion) -> tuple[Array, Array]:

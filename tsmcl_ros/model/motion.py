@@ -52,7 +52,7 @@ class MotionModel(Protocol):
     What every motion model offers.
 
     `extra` is the number of columns that it remembers; `heading` says that the first of them is
-    the rotation from the odometry frame to the map [rad].
+    the rotation from the odometry frame to the map [rad], else they are the velocity [m/s].
     """
 
     extra: int
