@@ -447,7 +447,7 @@ def known(mean: np.ndarray, stamp: float = 0.0, std: float = 1.0) -> Poses:
 
 
 def standing(position: np.ndarray = VEHICLES, reach: float = 150.0, anchors: Observation = ANCHORS,
-             relay_hops: int = 1, **settings: object) -> World:
+             relay_hops: int = 1, spread: float = 1.0, **settings: object) -> World:
     """Return a world in which nobody moves."""
     still = SimpleNamespace(state=State(
         position, np.zeros_like(position), np.zeros(len(position))), duration=math.inf)
@@ -455,7 +455,8 @@ def standing(position: np.ndarray = VEHICLES, reach: float = 150.0, anchors: Obs
     radio = {name: settings.pop(name) for name in ('measure_range', 'range_std')
              if name in settings}
     return World(WorldConfig(vehicles=len(position), **settings), disk(reach, **radio), still,
-                 anchors, rng(), relaying=RelayConfig(relay_hops=relay_hops))
+                 anchors, rng(),
+                 relaying=RelayConfig(relay_hops=relay_hops, pose_max_spread=spread))
 
 
 def heard_of_vehicles(observation: Observation) -> list[list[int]]:
@@ -539,6 +540,13 @@ def test_who_is_lost_does_not_broadcast() -> None:
     poses.mean[0] = np.nan
     poses.covariance[1] *= 150.0 ** 2
     assert heard_of_vehicles(standing().step(poses=poses).observation) == [[], [], []]
+
+
+def test_who_is_less_certain_than_asked_for_does_not_broadcast() -> None:
+    poses = known(VEHICLES, std=10.0)  # on each of two axes, 14.2 m with a period's odometry
+    for spread, told in ((0.09, []), (0.1, [1])):
+        observation = standing(spread=spread).step(poses=poses).observation
+        assert heard_of_vehicles(observation)[0] == told
 
 
 def test_vehicles_relay_anchors_with_poses_or_without() -> None:

@@ -179,8 +179,8 @@ class World:
             V = 1: what was transmitted in this period, if not what all anchors do.
         poses : Poses or None
             Where the vehicles last took themselves to be, which they broadcast: from where they
-            truly are, if it is not too old, and known to the radio range at least. None if they
-            keep it to themselves.
+            truly are, if it is neither too old nor too uncertain. None if they keep it to
+            themselves.
 
         Returns
         -------
@@ -219,7 +219,8 @@ class World:
             self._channel, position, beacons, self._peer_rng, heard.stamp, self._config.drop_rate,
             np.arange(vehicles))
         index = np.where(neighbours.heard, neighbours.sender - beacons.sender[0, 0], PADDED)
-        placed = neighbours.heard & now.within(self._channel.radio_range)[index]
+        furthest = self._relaying.pose_max_spread * self._channel.radio_range
+        placed = neighbours.heard & now.within(furthest)[index]
         parts = [heard, replace(neighbours, sender=np.where(placed, neighbours.sender, PADDED))]
         if self._relaying.relay_hops > 1:
             parts.append(relay(heard, index, self._channel.radio_range))

@@ -86,6 +86,7 @@ FLEET = {
     'anchor_positions': ('20 20', '80 20', '50 80', '50 45'),
     'measure_range': True, 'range_std': 1.0, 'odom_noise': 0.1, 'min_speed': 0.75,
     'max_speed': 1.5,
+    'pose_max_spread': 1.0,  # the guard has to do without the help of this
 }
 FILTER = {
     'min_particles': 200, 'max_particles': 1000, 'motion_model': 'odometry',

@@ -22,6 +22,10 @@ class RelayConfig(Config):
     pose_max_speed: float = param(
         50.0, 'how fast a vehicle may have moved since its pose, where its odometry does not tell '
         'the way in the map', unit='m/s', above=0, high=1e4)
+    pose_max_spread: float = param(
+        0.1, 'a pose whose standard deviation is larger is not broadcast, in radio ranges: the '
+        'belief behind it is likely to have several modes, which a covariance hides', above=0,
+        high=1)
     relay_hops: int = param(
         1, 'with 2, vehicles relay the anchors that they hear to those who do not', choices=(1, 2))
 
