@@ -251,6 +251,8 @@ class Links:
 
     def updated(self, news: Links) -> Links:
         """Return the links of both; where both have one, the news win."""
+        if not len(self.rssi):
+            return news
         ends = np.concatenate([[news.receiver, news.sender], [self.receiver, self.sender]], axis=1)
         _, first = np.unique(ends, axis=1, return_index=True)
         return Links(*(

@@ -124,6 +124,10 @@ def test_news_of_a_link_replace_it_and_others_are_added() -> None:
         np.sum(measured.rssi[:half]) + np.sum(louder.rssi), rel=1e-5)
 
 
+def test_links_in_two_dimensions_can_be_the_first() -> None:
+    assert Links.none().updated(links()).receiver_position.shape[1] == 2
+
+
 def test_anchors_hear_each_other_as_the_channel_says() -> None:
     measured = links(anchors=200)
     assert (measured.receiver != measured.sender).all()

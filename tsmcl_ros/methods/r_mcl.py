@@ -35,7 +35,7 @@ class RMclConfig(RejectionConfig):
         False, 'centre the motion boxes of random motion on the linear extrapolation of the last '
         'two estimates')
     acceptance: float = param(
-        0.5, 'share of the draws that measurements may reject particles down to, rather than '
+        0.1, 'share of the draws that measurements may reject particles down to, rather than '
         'weigh them', above=0.0, high=1.0)
 
 

@@ -3,6 +3,12 @@
 from tsmcl_ros.evaluation.experiments.adaptive_period import ADAPTIVE
 from tsmcl_ros.evaluation.experiments.grey import Grey
 from tsmcl_ros.evaluation.experiments.period_factor import PeriodFactor
+from tsmcl_ros.evaluation.experiments.r_mcl import (
+    RMclAnchorDensity,
+    RMclNodeDensity,
+    RMclRssiError,
+    RMclTime,
+)
 from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import TsMclConvergence
 from tsmcl_ros.evaluation.monte_carlo import Experiment
 
@@ -17,4 +23,11 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
     'grey_maneuver': (Grey(turn=35.0), Grey(turn=35.0, runs=2, vehicles=50)),
     'period_factor': (PeriodFactor(), PeriodFactor(residuals=101)),
     **ADAPTIVE,
+    **{name: (kind(), kind(runs=1, vehicles=8, epochs=10, grid_cell=10.0, radius=100.0))
+       for name, kind in {
+           'r_mcl_time': RMclTime,
+           'r_mcl_anchor_density': RMclAnchorDensity,
+           'r_mcl_node_density': RMclNodeDensity,
+           'r_mcl_rssi_error': RMclRssiError,
+       }.items()},
 }

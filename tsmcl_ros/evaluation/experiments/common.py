@@ -10,6 +10,7 @@ from tsmcl_ros.evaluation.metrics import normalized_error_squared
 from tsmcl_ros.evaluation.monte_carlo import Finding, Interval, Stopwatch
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.mobility import State
+from tsmcl_ros.model.relay import Poses
 from tsmcl_ros.types import Array, Observation
 from tsmcl_ros.world import World
 
@@ -22,7 +23,8 @@ class Track(NamedTuple):
     seconds: float
 
 
-def follow(world: World, localizer: Localizer, epochs: int, odometry: bool) -> Track:
+def follow(world: World, localizer: Localizer, epochs: int, odometry: bool,
+           cooperate: bool = False) -> Track:
     """
     Localize a world's vehicles, or the first of them, through some beacon periods.
 
@@ -36,18 +38,23 @@ def follow(world: World, localizer: Localizer, epochs: int, odometry: bool) -> T
         T.
     odometry : bool
         Whether the vehicles have it.
+    cooperate : bool
+        Whether they broadcast where they take themselves to be; all are to be localized then.
     """
     shape = epochs, localizer.vehicles
     error, nees = np.full(shape, np.nan), np.full(shape, np.nan)
     watch = Stopwatch()
     localizer.anchor_map(world.anchors)
+    poses: Poses | None = None
     for row in range(epochs):
-        epoch = world.step()
+        epoch = world.step(poses=poses)
         observation = first_vehicles(epoch.observation, localizer.vehicles)
         with watch:
             estimate = localizer.epoch(
                 observation, epoch.odom_position[:shape[1]] if odometry else None,
                 epoch.odom_yaw[:shape[1]] if odometry else None)
+        if cooperate:
+            poses = Poses.of(estimate)
         known = np.isfinite(estimate.mean).all(axis=1)
         off = estimate.mean[known] - epoch.position[:shape[1]][known]
         error[row, known] = np.linalg.norm(off, axis=1)
