@@ -25,10 +25,11 @@ from tsmcl_ros.world import anchor_table, receive
 SIGNIFICANCE = 1e-3
 
 # A tabu search is no Bayesian step; without it ts_mcl is a bootstrap filter, which has a limit.
+# The kernels of nbp's messages blur what they are laid over, ranges from so far most of all.
 BAYESIAN: dict[str, dict[str, Any]] = {
     'ts_mcl': {'max_iterations': 0}, 'mcl': {}, 'mcb': {}, 'r_mcl': {}, 'grid': {},
     'ekf': {}, 'cooperative': {}, 'grey_ekf': {}}
-PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'r_mcl', 'cooperative')
+PARTICLES = ('ts_mcl', 'mcl', 'mcb', 'r_mcl', 'cooperative', 'nbp')
 GAUSSIAN = ('ekf', 'grey_ekf')
 
 
@@ -113,7 +114,7 @@ def linear_run(filter_: Estimator, steps: int = 12) -> tuple[list[Estimate], lis
     return estimates, measured
 
 
-@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('method', BAYESIAN)
 def test_linear_gaussian_steps_are_those_of_a_kalman_filter(method: str) -> None:
     filter_ = make(method, {'radio_range': 0.0}, {'odom_std': 1.0}, particles=20_000,
                    area=(-25.0, 30.0), cell=0.25, **BAYESIAN[method])
@@ -133,7 +134,7 @@ def test_linear_gaussian_steps_are_those_of_a_kalman_filter(method: str) -> None
             estimate.covariance[0], covariance, atol=variance_off * std ** 2)
 
 
-@pytest.mark.parametrize('method', PARTICLES)
+@pytest.mark.parametrize('method', sorted(set(PARTICLES) & BAYESIAN.keys()))
 def test_correlated_velocity_is_that_of_a_kalman_filter(method: str) -> None:
     filter_ = make(method, {'radio_range': 0.0},
                    {'motion_model': 'velocity', 'speed_decay': 4.0, 'acceleration_std': 1.5},

@@ -8,6 +8,7 @@ from tsmcl_ros.methods.grey_ekf import GreyEkf
 from tsmcl_ros.methods.grid import Grid
 from tsmcl_ros.methods.mcb import Mcb
 from tsmcl_ros.methods.mcl import Mcl
+from tsmcl_ros.methods.nbp import Nbp
 from tsmcl_ros.methods.r_mcl import RMcl
 from tsmcl_ros.methods.ts_mcl import TsMcl
 
@@ -20,5 +21,6 @@ METHODS: dict[str, Any] = {
     'grid': Grid,
     'ekf': Ekf,
     'cooperative': Cooperative,
+    'nbp': Nbp,
     'grey_ekf': GreyEkf,
 }

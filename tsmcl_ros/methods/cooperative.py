@@ -13,7 +13,8 @@ the density that they were drawn with, so that their covariance is that of the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import math
 
 import numpy as np
 from tsmcl_ros.config import param
@@ -28,6 +29,7 @@ from tsmcl_ros.model.rings import Rings
 from tsmcl_ros.types import Array, Observation
 
 _HELD = 0.99  # share of a reference's weight that its kept samples hold
+_CANDIDATES = 2  # for each particle of the cloud, so that most of these differ
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,9 @@ class Cooperative(CooperativeFilter):
         """Draw candidates in the arcs that the search ends with."""
         arcs, unsettled = self.search(observation)
         rings, rest = self._rings(observation, arcs)
-        count = self.config.reference_samples
+        # The more references there are, the fewer samples of each make a cloud.
+        enough = math.ceil(_CANDIDATES * self.config.min_particles / rings.used.shape[1])
+        count = max(min(self.config.reference_samples, enough), 2)
         samples, _ = rings.draw(count, self.rng)
         return Sectors(
             samples.reshape(len(samples), -1, 2), np.repeat(rings.used, count, axis=1),
@@ -76,6 +80,7 @@ class Cooperative(CooperativeFilter):
         moving = np.arange(len(mean))
         for iteration in range(config.direction_iterations):
             rings, rest = self._rings(observation.of(moving), arcs.at(moving))
+            rings = replace(rings, ranging=rings.ranging.simplified())
             shrunk, estimate = self.iterate(rings, rest)
             arcs.middle[moving], arcs.half[moving] = shrunk.middle, shrunk.half
             move[moving], mean[moving] = estimate - mean[moving], estimate

@@ -19,7 +19,7 @@ from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.ranging import without_ranges
 from tsmcl_ros.types import Array, ConfigError, Estimate, Observation
 
-_AT_ONCE = 1_000_000  # distances to references that are worked on at a time, for memory's sake
+_AT_ONCE = 500_000  # numbers that are worked on at a time, so that they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,17 @@ class CooperativeFilter(ParticleFilter):
             raise ConfigError(
                 f'dimension: {dimension} is not allowed for cooperative methods, must be 2')
         super().__init__(config, channel, motion, vehicles, dimension, rng)
-        self.config = config
+        self.config: CooperationConfig = config
         self.settled = np.zeros(vehicles, bool)
 
     def propose(self, observation: Observation) -> Proposal:
         """Draw candidates for vehicles that all have a range. Methods differ in this."""
         raise NotImplementedError
+
+    def cost(self, references: int) -> int:
+        """Return how many numbers a vehicle with so many references takes at a time."""
+        samples = references * self.config.reference_samples + self.config.min_particles
+        return references * samples
 
     def update(self, observation: Observation) -> Estimate:
         """Draw the particles from around the references and from the prediction."""
@@ -161,7 +166,5 @@ class CooperativeFilter(ParticleFilter):
         if ranging is None:
             return []
         ranged = np.flatnonzero(ranging.used.any(axis=(1, 2)))
-        references = observation.sender.shape[1]
-        samples = references * self.config.reference_samples + self.cloud.weights.shape[1]
-        size = max(_AT_ONCE // (references * samples), 1)
+        size = max(_AT_ONCE // self.cost(observation.sender.shape[1]), 1)
         return [ranged[first:first + size] for first in range(0, len(ranged), size)]

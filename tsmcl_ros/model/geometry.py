@@ -130,6 +130,7 @@ class Arcs:
         return Arcs(self.middle, np.minimum(self.half + margin, np.float32(np.pi)))
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Return directions (..., count) [rad], uniform in each."""
-        uniform = rng.random((*self.middle.shape, count), np.float32) * 2 - 1
+        """Return directions (..., count) [rad], uniform in each, one in every part of it."""
+        uniform = rng.random((*self.middle.shape, count), np.float32)
+        uniform = (np.arange(count, dtype=np.float32) + uniform) * np.float32(2 / count) - 1
         return self.middle[..., None] + self.half[..., None] * uniform

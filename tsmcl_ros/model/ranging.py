@@ -12,9 +12,11 @@ import math
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy.special import erfcx
 from tsmcl_ros.model.evidence import Evidence, flat, heavy_tailed, References
 from tsmcl_ros.types import Array
+
+_ERFC = (-1.26551223, 1.00002368, 0.37409196, 0.09678418, -0.18628806, 0.27886807, -1.13520398,
+         1.48851587, -0.82215223, 0.17087277)
 
 
 class RangeErrors(Protocol):
@@ -37,6 +39,9 @@ class RangeErrors(Protocol):
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Return errors (V, E, count) [m]; zero where padded."""
+
+    def widened(self, variance: Array) -> RangeErrors:
+        """Return the law with this variance more (V, E, 1) [m^2], roughly."""
 
     def at(self, vehicle: Array) -> RangeErrors:
         """Return the law for a flat list of points of the vehicles (M,)."""
@@ -75,6 +80,10 @@ class GaussianErrors:
         std = np.where(np.isfinite(self.std), self.std, 0)
         return std * rng.standard_normal((*std.shape[:2], count), np.float32)
 
+    def widened(self, variance: Array) -> GaussianErrors:
+        """Return a wider law: see `RangeErrors`."""
+        return GaussianErrors(np.sqrt(self.std * self.std + variance))
+
     def at(self, vehicle: Array) -> GaussianErrors:
         """Return the law for a flat list of points: see `RangeErrors`."""
         return GaussianErrors(flat(self.std, vehicle))
@@ -112,7 +121,7 @@ class AsymmetricErrors:
                               _one_sided(-error, std, self.long))
         peak = np.maximum(positive, negative)
         rest = np.exp(np.minimum(positive, negative) - peak)
-        return np.asarray(peak + np.log1p(rest) + self.bound(None))
+        return np.asarray(peak + np.log(1 + rest) + self.bound(None))
 
     def bound(self, least: Array | None) -> Array:
         """Return the most that ln p can be: see `RangeErrors`."""
@@ -129,6 +138,11 @@ class AsymmetricErrors:
         short, long = (np.where(np.isfinite(scale), scale, 0)
                        for scale in (self.short, self.long))
         return draw_asymmetric(short, long, (*short.shape[:2], count), rng)
+
+    def widened(self, variance: Array) -> AsymmetricErrors:
+        """Return a wider law: see `RangeErrors`."""
+        return AsymmetricErrors(
+            *(np.sqrt(scale * scale + variance / 2) for scale in (self.short, self.long)))
 
     def at(self, vehicle: Array) -> AsymmetricErrors:
         """Return the law for a flat list of points: see `RangeErrors`."""
@@ -176,6 +190,20 @@ class Ranging:
         relative = log_density - self.errors.bound(self.references.least)
         return heavy_tailed(np.where(self.used, np.minimum(relative, 0), 0), self.floor)
 
+    def simplified(self) -> Ranging:
+        """
+        Return the same ranges to exactly known references, by errors as much wider.
+
+        This takes a fifth of the time, and the references' covariances for circles.
+        """
+        covariance = self.references.covariance
+        if covariance is None:
+            return self
+        axes = range(len(covariance))
+        variance = sum(covariance[i, i] for i in axes) / len(covariance)
+        return replace(self, references=References(self.references.position, None, None),
+                       errors=self.errors.widened(variance))
+
     def at(self, vehicle: Array) -> Ranging:
         """Return the factor for a flat list of points: see `Factor`."""
         return replace(
@@ -202,11 +230,27 @@ def _one_sided(error: Array, std: Array, scale: Array) -> Array:
     """
     Return ln of the average of [e' > 0] exp(-e' / scale) over e' ~ N(error, std^2).
 
-    An exponentially modified Gaussian; `erfcx` keeps its left tail, whose factors overflow.
+    An exponentially modified Gaussian, in a form whose factors do not overflow.
     """
-    steepness = std / scale
-    ratio = error / std
+    steepness, ratio = std / scale, error / std
     lag = (steepness - ratio) * np.float32(math.sqrt(0.5))
-    tail = np.log(np.float32(0.5) * erfcx(np.maximum(lag, -5))) - np.float32(0.5) * ratio * ratio
-    # Far to the right the error is certain to be positive, Phi(7) of it.
-    return np.where(lag > -5, tail, steepness * (np.float32(0.5) * steepness - ratio))
+    tail = _log_erfcx(np.abs(lag)) - np.float32(math.log(2)) - np.float32(0.5) * ratio * ratio
+    # To the right, where the error is likely to be positive, by what is missing from 1.
+    sure = steepness * (np.float32(0.5) * steepness - ratio)
+    missing = np.exp(np.minimum(tail - sure, np.float32(-math.log(2))))
+    return np.where(lag > 0, tail, sure + np.log(1 - missing))
+
+
+def _log_erfcx(x: Array) -> Array:
+    """
+    Return ln erfcx(x) for x >= 0, to seven digits.
+
+    The Chebyshev fit of erfc in Press et al., Numerical Recipes (1992, section 6.2), whose factor
+    exp(-x^2) is what makes erfc of erfcx; scipy's has more digits and takes four times as long.
+    """
+    t = 1 / (1 + np.float32(0.5) * x)
+    total = np.full_like(t, _ERFC[-1])
+    for coefficient in _ERFC[-2::-1]:
+        total *= t
+        total += np.float32(coefficient)
+    return np.log(t) + total
