@@ -54,3 +54,10 @@ def test_copies_of_one_particle_have_a_density() -> None:
         np.array([[[7.0, 7.0], [8.0, 7.0]]], np.float32))
     assert np.isfinite(found).all()
     assert found[0, 0] > found[0, 1]
+
+
+def test_a_cloud_on_a_line_far_away_has_a_density() -> None:
+    along = np.random.default_rng(1).uniform(-1e5, 1e5, (100, 1))
+    particles = np.concatenate([along, along], axis=1)[None]
+    found, _ = density(particles).log_density(particles.astype(np.float32))
+    assert np.isfinite(found).all()

@@ -44,10 +44,10 @@ def overrides(**settings: object) -> list[str]:
             for word in ('-p', f'{name}:={str(value).lower()}')]
 
 
-def world(vehicles: int = 1, seed: int = 2) -> World:
+def world(vehicles: int = 1, seed: int = 2, **settings: object) -> World:
     return make_world(
         {'vehicles': vehicles, 'area_x': 3000.0, 'area_y': 3000.0, 'anchor_rows': 3,
-         'anchor_columns': 3, 'radio_range': 1000.0}, np.random.default_rng(seed))
+         'anchor_columns': 3, 'radio_range': 1000.0, **settings}, np.random.default_rng(seed))
 
 
 class Source:
@@ -152,6 +152,24 @@ def test_poses_are_those_of_the_localizer_in_process_and_late_joiners_get_the_la
     late = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
     scene.until(lambda: bool(late), 'the last pose')
     assert late == poses[-1:]
+
+
+@pytest.mark.parametrize('method', ['cooperative', 'nbp'])
+def test_ranged_beacons_place_a_vehicle_by_methods_that_cooperate(
+    begin: Callable[..., Scene], method: str,
+) -> None:
+    scene = begin(method=method)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(measure_range=True, range_std=5.0), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    for count in (1, 2):
+        source.step()
+        scene.until(lambda count=count: len(poses) == count, 'a pose')
+    pose = messages.decode_pose(poses[-1])
+    off = pose.position[:2] - source.world.mobility.state.position[0]
+    # Two or three ranges of 5 m, in an area of 3 km; that it knows how well is the stricter test.
+    assert np.linalg.norm(off) < 200.0
+    assert off @ np.linalg.solve(pose.covariance[:2, :2], off) < 14.0
 
 
 def test_a_fleet_localizes_its_vehicles_as_one_batch(begin: Callable[..., Scene]) -> None:

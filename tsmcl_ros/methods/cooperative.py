@@ -63,7 +63,7 @@ class Cooperative(CooperativeFilter):
         samples, _ = rings.draw(count, self.rng)
         return Sectors(
             samples.reshape(len(samples), -1, 2), np.repeat(rings.used, count, axis=1),
-            unsettled, rings, rest)
+            unsettled, np.zeros(len(samples)), rings, rest)
 
     def search(self, observation: Observation) -> tuple[Arcs, Array]:
         """

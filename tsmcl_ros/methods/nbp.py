@@ -64,7 +64,7 @@ class Nbp(CooperativeFilter):
         messages = Messages.of(ranging, samples, config.kernel_scale)
         points = messages.draw(config.oversampling * config.reference_samples, self.rng)
         return Product(points, np.ones(points.shape[:2], bool), np.zeros((len(points), 2)),
-                       messages, rest)
+                       messages.grain, messages, rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +108,16 @@ class Messages:
         # Least mean integrated squared error, as Silverman (1986, section 4.3) derives it, of a
         # density that is Gaussian across a ring of this radius and uniform along it.
         best = (8 * math.sqrt(math.pi) / 3 * radius * spread ** 5 / count) ** (1 / 6)
+        # Not so narrow that float32 could not tell squared distances on the ring.
+        best = np.maximum(best, 1e-3 * radius / scale)
         return cls(ranging, samples, distance / distance.sum(axis=2, keepdims=True),
                    (scale * best).astype(np.float32), 2 * np.float32(np.pi) * radius)
+
+    @property
+    def grain(self) -> Array:
+        """(V,) float32: standard deviation [m] of the product of a kernel of each message."""
+        precision = np.where(self.ranging.used[:, :, 0], 1 / np.square(self.width), 0)
+        return 1 / np.sqrt(precision.sum(axis=1))
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Return points (V, count, 2) [m] of all messages in equal parts."""

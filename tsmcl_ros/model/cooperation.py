@@ -7,6 +7,7 @@ a range is the evidence's to say.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,11 +44,14 @@ class Proposal:
         False where padded.
     unsettled : (W, 2) float
         How far the estimate moved where the search for them has not come to its end [m].
+    grain : (W,) float
+        Standard deviation of the kernel that each stands for [m].
     """
 
     points: Array
     valid: Array
     unsettled: Array
+    grain: Array
 
     def score(self, points: Array) -> tuple[Array, Array]:
         """Return log-likelihoods (W, P) of points (W, P, 2), and ln of the density drawn from."""
@@ -124,8 +128,10 @@ class CooperativeFilter(ParticleFilter):
         new = vehicle[~placed]
         weights, _ = normalize(log_weights[~placed])
         self.cloud.fill(new, proposal.points[~placed], weights)
-        count = self.cloud.states.shape[1]
-        self.cloud.states[new, :, 2:] = self.cloud.motion.draw(len(new), count, self.rng)
+        shape = (len(new), self.cloud.states.shape[1], 2)
+        noise = self.rng.standard_normal(shape, np.float32)
+        self.cloud.states[new, :, :2] += proposal.grain[~placed, None, None] * noise
+        self.cloud.states[new, :, 2:] = self.cloud.motion.draw(*shape[:2], self.rng)
         if placed.any():
             self._fuse(proposal, vehicle, placed, target, drawn)
         return np.where(placed[:, None], 0, proposal.unsettled)
@@ -160,11 +166,18 @@ class CooperativeFilter(ParticleFilter):
         parent = np.take_along_axis(parent, index, axis=1)
         cloud.states[old, :, 2:] = np.take_along_axis(states, parent[:, :, None], axis=1)[:, :, 2:]
 
-    def _portions(self, observation: Observation) -> list[Array]:
-        """Return the indices of the vehicles with ranges, in portions that fit into memory."""
+    def _portions(self, observation: Observation) -> Iterator[Array]:
+        """
+        Yield the indices of the vehicles with ranges, in portions that fit into the cache.
+
+        Those with as many references come together, which makes for little padding.
+        """
         ranging, _ = without_ranges(self.channel.evidence(observation))
         if ranging is None:
-            return []
-        ranged = np.flatnonzero(ranging.used.any(axis=(1, 2)))
-        size = max(_AT_ONCE // self.cost(observation.sender.shape[1]), 1)
-        return [ranged[first:first + size] for first in range(0, len(ranged), size)]
+            return
+        references = ranging.used.sum(axis=(1, 2))
+        order = np.argsort(-references, kind='stable')[:np.count_nonzero(references)]
+        while len(order):
+            size = max(_AT_ONCE // self.cost(int(references[order[0]])), 1)
+            yield order[:size]
+            order = order[size:]

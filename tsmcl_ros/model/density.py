@@ -42,8 +42,10 @@ class CloudDensity:
         count, dimension = min(particles.shape[1], _CENTRES), particles.shape[2]
         mean, covariance = moments(particles, weights)
         scale = (4 / (count * (dimension + 2))) ** (2 / (dimension + 4))
-        # A millimetre, so that a cloud of copies has a density as well.
-        widths = np.linalg.cholesky(scale * covariance + 1e-6 * np.eye(dimension))
+        # A millimetre, so that a cloud of copies has a density as well, and what rounding takes.
+        least = 1e-6 + 1e-9 * np.trace(covariance, axis1=1, axis2=2)
+        widths = np.linalg.cholesky(
+            scale * covariance + least[:, None, None] * np.eye(dimension))
         whitening = np.swapaxes(np.linalg.inv(widths), 1, 2).astype(np.float32)
         parents = systematic_resample(weights, count, rng)
         chosen = np.take_along_axis(particles, parents[:, :, None], axis=1)

@@ -1,6 +1,7 @@
 """The claims of the papers as experiments, by the names that users give."""
 
 from tsmcl_ros.evaluation.experiments.adaptive_period import ADAPTIVE
+from tsmcl_ros.evaluation.experiments.cooperation import CoopSamples, CoopTime
 from tsmcl_ros.evaluation.experiments.grey import Grey
 from tsmcl_ros.evaluation.experiments.period_factor import PeriodFactor
 from tsmcl_ros.evaluation.experiments.r_mcl import (
@@ -21,6 +22,10 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
             grid_cell=100.0, exact_vehicles=2, lens_vehicles=10, lens_epochs=4)),
     'grey_straight': (Grey(turn=0.0), Grey(turn=0.0, runs=2, vehicles=50)),
     'grey_maneuver': (Grey(turn=35.0), Grey(turn=35.0, runs=2, vehicles=50)),
+    'coop_samples': (
+        CoopSamples(), CoopSamples(runs=1, targets=20, samples=(20, 50), rounds=2, grid_cell=5.0)),
+    'coop_time': (
+        CoopTime(), CoopTime(runs=1, targets=20, samples=(20, 50), rounds=2, grid_cell=5.0)),
     'period_factor': (PeriodFactor(), PeriodFactor(residuals=101)),
     **ADAPTIVE,
     **{name: (kind(), kind(runs=1, vehicles=8, epochs=10, grid_cell=10.0, radius=100.0))
