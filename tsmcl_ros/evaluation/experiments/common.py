@@ -80,11 +80,12 @@ def rmse(error: Array, axis: int | None = None) -> Any:
     return np.sqrt(np.nanmean(np.square(error), axis=axis))
 
 
-def goal(claim: str, measured: Interval, goal: float, unit: str = '') -> Finding:
+def goal(claim: str, measured: Interval, goal: float, unit: str = '', limit: str = ''
+         ) -> Finding:
     """Return whether a value is as small as it should be."""
     verdict = 'reached' if measured.value <= goal else (
         'missed, though within the interval' if measured.low <= goal else 'missed')
-    return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', '', verdict)
+    return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', limit, verdict)
 
 
 def first_vehicles(observation: Observation, vehicles: int) -> Observation:
