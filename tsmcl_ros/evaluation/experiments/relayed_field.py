@@ -82,8 +82,8 @@ class Field:
         world_seed, links_seed, filter_seed = seed.spawn(3)
         cooperative = case['knows'] in COOPERATIVE
         world = make_field(case, self.radius, np.random.default_rng(world_seed))
-        settings = {**radio(case), **self._method(case), 'motion_model': 'random',
-                    'max_speed': SPEED, 'silence': 'none', **KNOWLEDGE[case['knows']],
+        settings = {**radio(case), 'motion_model': 'random', 'max_speed': SPEED,
+                    'silence': 'none', **KNOWLEDGE[case['knows']], **self._method(case),
                     'seed': int(filter_seed.generate_state(1)[0])}
         nodes = len(world.mobility.state.position)
         localizer = Localizer(settings, nodes if cooperative else min(self.vehicles, nodes))
@@ -103,8 +103,12 @@ class Field:
     def _method(self, case: Case) -> dict[str, Any]:
         if case['filter'] == 'exact':
             edge = self.radius + self.grid_margin
+            # Between cells a motion is interpolated, which spreads it by cell^2 / 6 along each
+            # axis; a disk's own r^2 / 4 is as much smaller.
+            speed = math.sqrt(max(SPEED ** 2 - 2 / 3 * self.grid_cell ** 2, 1.0))
             return {'method': 'grid', 'grid_cell': self.grid_cell, 'grid_x_min': -edge,
-                    'grid_x_max': edge, 'grid_y_min': -edge, 'grid_y_max': edge}
+                    'grid_x_max': edge, 'grid_y_min': -edge, 'grid_y_max': edge,
+                    'max_speed': speed}
         return {'method': case['filter'], 'min_particles': self.particles,
                 'max_particles': 20 * self.particles}
 
