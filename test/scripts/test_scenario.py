@@ -38,7 +38,7 @@ def test_the_cooperative_scenarios_have_132_vehicles_among_18_anchors_and_5() ->
 def test_options_win_over_the_scenario_and_it_over_their_defaults() -> None:
     path = str(CONFIG / 'cooperative.yaml')
     options, _ = _read(['--config', path, '--vehicles', '7'])
-    assert (options.vehicles, options.duration, options.method) == (7, 60.0, 'ts_mcl')
+    assert (options.vehicles, options.duration, options.method) == (7, 30.0, 'ts_mcl')
     assert _read([])[1] is RANGE_FREE
 
 
