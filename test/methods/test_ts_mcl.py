@@ -263,14 +263,6 @@ def test_an_update_repairs_the_particles_that_explain_least() -> None:
         before).mean() / 4
 
 
-def test_a_cloud_of_which_enough_particles_are_likely_is_left_to_resampling() -> None:
-    filter_ = ts_mcl()
-    start(filter_, 95.0, std=10.0)
-    before = filter_.particles.copy()
-    filter_.repair(filter_.channel.evidence(listen([(0.0, 0.0)])))
-    np.testing.assert_array_equal(filter_.particles, before)
-
-
 def test_repaired_clouds_are_weighed_by_what_was_predicted() -> None:
     # Two ranges leave two places, 11 and 109 m along x; the prediction favours the second one.
     share = {}

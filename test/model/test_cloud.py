@@ -426,13 +426,6 @@ def test_spread_is_the_root_mean_square_of_the_axes_standard_deviations() -> Non
     np.testing.assert_allclose(spread(points), math.sqrt((9 + 16) / 2), rtol=0.02)
 
 
-def test_clouds_whose_weights_would_gather_on_few_particles_are_depleted() -> None:
-    both = cloud(vehicles=2, min_particles=100)
-    likelihood = np.zeros((2, 100), np.float32)
-    likelihood[1, 30:] = -50.0
-    assert both.depleted(likelihood).tolist() == [False, True]
-
-
 def test_moved_particles_are_favoured_where_the_prediction_was_dense() -> None:
     one = cloud(min_particles=2000)
     predicted = np.random.default_rng(1).normal(0.0, 10.0, (1, 2000, 2)).astype(np.float32)

@@ -8,9 +8,8 @@ normalized ones are about 1/N and could never pass the aspiration threshold.
 
 The threshold is 0.9, not the paper's 0.5: with the silence of a map, sixteen terms of 0.5 would
 make a likelihood of 1e-5 good enough. And one addition: the paper's search goes wherever the
-newest evidence is satisfied, and so undoes what the vehicle's way has ruled out. Here it serves
-only clouds that are about to be depleted, and a repaired cloud is weighed by how likely the
-prediction was where its particles are now.
+newest evidence is satisfied, and so undoes what the vehicle's way has ruled out. Here a repaired
+cloud is weighed by how likely the prediction was where its particles are now.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ class TsMclConfig(CloudConfig):
         0.9, 'score above which a particle is good enough', above=0.0, high=1.0)
     prior_bandwidth: float = param(
         0.3, "smoothing of the predicted density that repaired clouds are weighed by, in "
-        "standard deviations of the cloud; 0 for the paper's way, which repairs every poor "
-        'particle whatever was predicted', low=0.0, high=10.0)
+        "standard deviations of the cloud; 0 for the paper's way, which asks only what was "
+        'heard', low=0.0, high=10.0)
 
 
 class TsMcl(ParticleFilter):
@@ -82,10 +81,7 @@ class TsMcl(ParticleFilter):
         particles = self.cloud.particles
         log_likelihood = evidence.log_likelihood(particles)
         good = score(log_likelihood, evidence.terms[:, None]) > self.config.aspiration
-        which = self.cloud.placed & ~good.all(axis=1)
-        if self.config.prior_bandwidth > 0:
-            which &= self.cloud.depleted(log_likelihood) | ~good.any(axis=1)
-        owner, index = np.nonzero(~good & which[:, None])
+        owner, index = np.nonzero(~good & self.cloud.placed[:, None])
         if not len(owner) or not self.config.max_iterations:
             return log_likelihood
         predicted = particles.copy()
@@ -93,7 +89,7 @@ class TsMcl(ParticleFilter):
             particles[owner, index], log_likelihood[owner, index], owner,
             spread(particles)[owner], evidence)
         if self.config.prior_bandwidth > 0:
-            self.cloud.favour(np.flatnonzero(which), predicted, self.config.prior_bandwidth)
+            self.cloud.favour(np.unique(owner), predicted, self.config.prior_bandwidth)
         return log_likelihood
 
     def search(self, points: Array, log_likelihood: Array, owner: Array, scale: Array,

@@ -202,12 +202,6 @@ class Cloud:
         self._equalize(self._drawn)
         self._drawn[:] = False
 
-    def depleted(self, log_likelihood: Array) -> Array:
-        """Return the vehicles (V,) bool whose clouds this evidence (V, N) would have resampled."""
-        with np.errstate(divide='ignore'):
-            weights, _ = normalize(np.log(self.weights) + log_likelihood)
-        return self._is_depleted(weights)
-
     def favour(self, vehicle: Array, predicted: Array, bandwidth: float) -> None:
         """
         Multiply the weights of moved particles by predicted over present density.
@@ -252,7 +246,8 @@ class Cloud:
     def resample(self) -> None:
         """Resample the clouds whose effective sample size has fallen too low."""
         count = self.weights.shape[1]
-        low = self.placed & self._is_depleted(self.weights)
+        low = self.placed & (
+            effective_sample_size(self.weights) < self.config.resample_threshold * count)
         if not low.any():
             return
         index = systematic_resample(self.weights[low], count, self.rng)
@@ -262,11 +257,6 @@ class Cloud:
         position += np.float32(self.config.jitter) * spread(position)[:, None, None] * noise
         self.states[low] = states
         self._equalize(low)
-
-    def _is_depleted(self, weights: Array) -> Array:
-        """Return whether the effective sample size of weights (V, N) has fallen too low."""
-        return np.asarray(effective_sample_size(weights)
-                          < self.config.resample_threshold * weights.shape[1])
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
