@@ -49,12 +49,12 @@ def test_other_localizers_get_what_all_localizers_know() -> None:
 
 def test_what_is_said_for_all_nodes_goes_to_those_that_have_it(tmp_path: Path) -> None:
     path = tmp_path / 'scenario.yaml'
-    path.write_text('/**:\n  ros__parameters:\n    anchor_rows: 2\n    radio_range: 9.0\n'
-                    'simulator:\n  ros__parameters:\n    radio_range: 8.0\n')
+    path.write_text('/**:\n  ros__parameters:\n    anchor_rows: 2\n    odom_std: 9.0\n'
+                    'simulator:\n  ros__parameters:\n    area_x: 8.0\n')
     scenario = read_scenario(path)
     assert scenario.anchor == {'anchor_rows': 2}
-    assert scenario.simulator == {'anchor_rows': 2, 'radio_range': 8.0}
-    assert scenario.fleet == {'radio_range': 9.0}
+    assert scenario.simulator == {'anchor_rows': 2, 'area_x': 8.0}
+    assert scenario.fleet == {'odom_std': 9.0}
     assert list(scenario.others) == ['mcl']
 
 
