@@ -6,10 +6,10 @@ neighbourhood of 1 m, here it is the standard deviation of the predicted cloud, 
 matches the uncertainty at every stage; and scores are not normalized over the particles, because
 normalized ones are about 1/N and could never pass the aspiration threshold.
 
-The threshold is 0.9, not the paper's 0.5: with the silence of a map, sixteen terms of 0.5 would
-make a likelihood of 1e-5 good enough. And one addition: the paper's search goes wherever the
-newest evidence is satisfied, and so undoes what the vehicle's way has ruled out. Here a repaired
-cloud is weighed by how likely the prediction was where its particles are now.
+The search goes wherever the newest evidence is satisfied. That brings vehicles back whose
+prediction was wrong, but it also undoes what their way has ruled out; `prior_bandwidth` weighs
+repaired clouds by how likely the prediction was where their particles are now, which is worth it
+where many weak pieces of evidence have to add up and the models are right.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class TsMclConfig(CloudConfig):
     neighbourhood_floor: float = param(
         0.5, 'least length of a full step', unit='m', low=0.0)
     aspiration: float = param(
-        0.9, 'score above which a particle is good enough', above=0.0, high=1.0)
+        0.5, 'score above which a particle is good enough', above=0.0, high=1.0)
     prior_bandwidth: float = param(
-        0.3, "smoothing of the predicted density that repaired clouds are weighed by, in "
+        0.0, "smoothing of the predicted density that repaired clouds are weighed by, in "
         "standard deviations of the cloud; 0 for the paper's way, which asks only what was "
         'heard', low=0.0, high=10.0)
 

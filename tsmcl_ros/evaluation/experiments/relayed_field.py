@@ -140,7 +140,7 @@ def make_field(case: Case, radius: float, rng: np.random.Generator) -> World:
     anchors = near_uniform(round(case['anchor_density'] * share), radius, anchor_rng)
     return World(WorldConfig(vehicles=nodes, odom_noise=0.5), Channel(RadioConfig(**radio(case))),
                  Wanderers(nodes, radius, SPEED, mobility_rng), anchor_table(anchors), rng,
-                 relaying=RelayConfig(relay_hops=2))
+                 relaying=RelayConfig(relay_hops=2, pose_max_spread=1.0))
 
 
 class Wanderers:

@@ -38,7 +38,8 @@ EVIDENCE: dict[str, dict[str, Any]] = {
     'silence': {**SCORING, 'motion_model': 'random', 'max_speed': SPEED, 'silence': 'map'},
     'odometry': {
         **SCORING, 'motion_model': 'odometry', 'odom_heading': 'known', 'odom_std': 0.5,
-        'alpha3': 0.0, 'alpha4': 0.0, 'silence': 'map'},
+        'alpha3': 0.0, 'alpha4': 0.0, 'silence': 'map', 'aspiration': 0.9,
+        'prior_bandwidth': 0.3},
 }
 SHOWN = {
     'heard': 'heard only', 'silence': '+ silence', 'odometry': '+ odometry',

@@ -2,7 +2,7 @@
 TS-MCL beside MCL in the paper's own setting: only beacons heard, only random motion.
 
 Sun, Wang, Zhang 2016, their figures of error against samples, of time against iterations, and of
-error against radio range. The search is the paper's: it repairs every poor particle.
+error against radio range.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from tsmcl_ros.world import make_world
 
 SHOWN = {'ts_mcl': 'TS-MCL', 'mcl': 'MCL', 'exact': 'exact grid'}
 SPEED = 50.0  # m/s, at most
-PAPER = {'aspiration': 0.5, 'prior_bandwidth': 0.0}  # of the search
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ class HeardOnly:
                  'max_particles': max(self.first_particles, case['particles'])}
         if case['filter'] == 'mcl':
             return {'method': 'mcl', **cloud}
-        return {'method': 'ts_mcl', 'max_iterations': case['iterations'], **PAPER, **cloud}
+        return {'method': 'ts_mcl', 'max_iterations': case['iterations'], **cloud}
 
 
 def case(method: str, particles: int, radio_range: float = 1000.0, iterations: int = 10) -> Case:
