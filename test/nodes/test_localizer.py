@@ -297,6 +297,8 @@ def test_while_no_message_comes_poses_are_predicted_as_the_clock_goes_on(
         scene.until(lambda count=count: len(poses) == count, 'a pose')
     for step in range(14):
         clock.publish(messages.encode_clock(1002.0 + step / 2))
+        # Step by step: of poses at once, who comes late gets only the last.
+        scene.until(lambda: True, 'a step')
     scene.until(lambda: len(poses) == 4, 'two predictions')
     decoded = [messages.decode_pose(data) for data in poses]
     assert [pose.stamp for pose in decoded] == [1.0, 2.0, 4.0, 6.0]

@@ -12,7 +12,7 @@ from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.csv_log import read_anchors
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.nodes import runtime
-from tsmcl_ros.types import Observation
+from tsmcl_ros.types import Links, Observation
 from tsmcl_ros.world import anchor_table, AnchorConfig, hear_each_other, lay_out
 
 
@@ -44,16 +44,14 @@ class Anchor(runtime.Node):
         super().__init__()
         self._config = build(BroadcastConfig, self.settings)
         anchors = _anchors(self._config, self.settings)
+        # What is not allowed shows before anything is said to anybody.
+        links = _links(self._config, build(RadioConfig, self.settings), anchors)
         self._beacons = _one_each(anchors)
         # In this order: who has received the map has found the beacons too.
         self._air = self.talk('/beacons', messages.POINT_CLOUD, runtime.SENSOR_DATA)
         self._map = self.talk('/anchor_map', messages.POINT_CLOUD, runtime.LATCHED)
         self._map.publish(messages.encode_beacons(anchors, self._config.global_frame_id)[0])
-        radio = build(RadioConfig, self.settings)
-        if radio.measure_rssi:
-            # After the generators that the layout and the world take: a seed keeps its layout.
-            *_, rng = np.random.default_rng(self._config.seed).spawn(4)
-            links = hear_each_other(Channel(radio), anchors, rng)
+        if links is not None:
             self._links = self.talk('/anchor_links', messages.POINT_CLOUD, runtime.LATCHED)
             self._links.publish(
                 messages.encode_links(anchors.stamp, links, self._config.global_frame_id))
@@ -77,6 +75,15 @@ def _anchors(config: BroadcastConfig, settings: dict[str, Any]) -> Observation:
     _, rng, _ = np.random.default_rng(config.seed).spawn(3)
     position = lay_out(build(AnchorConfig, settings), 3, rng)
     return anchor_table(position, config.first_id + np.arange(len(position)))
+
+
+def _links(config: BroadcastConfig, radio: RadioConfig, anchors: Observation) -> Links | None:
+    """Return how the anchors hear each other, None if their radio measures no rssi."""
+    if not radio.measure_rssi:
+        return None
+    # After the generators that the layout and the world take: a seed keeps its layout.
+    *_, rng = np.random.default_rng(config.seed).spawn(4)
+    return hear_each_other(Channel(radio), anchors, rng)
 
 
 def _one_each(anchors: Observation) -> Observation:
