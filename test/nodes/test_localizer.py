@@ -295,7 +295,7 @@ def test_while_no_message_comes_poses_are_predicted_as_the_clock_goes_on(
         clock.publish(messages.encode_clock(1000.0 + count))  # the clock of the sensors differs
         source.step()
         scene.until(lambda count=count: len(poses) == count, 'a pose')
-    for step in range(14):
+    for step in range(10):
         clock.publish(messages.encode_clock(1002.0 + step / 2))
         # Step by step: of poses at once, who comes late gets only the last.
         scene.until(lambda: True, 'a step')
