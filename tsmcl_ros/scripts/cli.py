@@ -12,6 +12,15 @@ from types import FrameType
 from tsmcl_ros.types import TsmclError
 
 
+class Interrupted(KeyboardInterrupt):
+    """
+    SIGINT or SIGTERM has come.
+
+    A KeyboardInterrupt itself that passes an `exec` of text, which libraries make code with, has
+    Python end by SIGINT even where it is caught.
+    """
+
+
 def run_script(
     script: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None,
 ) -> int:
@@ -62,7 +71,7 @@ def _interruptible() -> Iterator[None]:
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         for number in previous:
             signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        raise Interrupted
 
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
