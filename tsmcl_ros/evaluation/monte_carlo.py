@@ -64,6 +64,11 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    @classmethod
+    def exactly(cls, value: float) -> Interval:
+        """Return a value that is known without error."""
+        return cls(value, value, value)
+
     def __str__(self) -> str:
         value, low, high = map(significant, self)
         return f'{value} ({low} to {high})'
@@ -274,6 +279,21 @@ def bootstrap_interval(statistic: Callable[[Array], float], samples: Array,
     values = [statistic(samples[..., rng.integers(units, size=units)]) for _ in range(draws)]
     low, high = np.quantile(values, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Interval(statistic(samples), float(low), float(high))
+
+
+def ratio_interval(statistic: Callable[[Array], float], ours: Array, theirs: Array) -> Interval:
+    """
+    Return a statistic of ours over that of theirs; see `bootstrap_interval`.
+
+    Units of the same number, vehicles of the same worlds say, are drawn together.
+    """
+    return bootstrap_interval(
+        lambda pair: float(statistic(pair[0]) / statistic(pair[1])), np.stack([ours, theirs]))
+
+
+def percent(share: float) -> str:
+    """Return a share as whole percent."""
+    return f'{share:.0%}'.replace('%', ' %')
 
 
 def significant(value: float) -> str:

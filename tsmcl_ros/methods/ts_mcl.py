@@ -84,11 +84,11 @@ class TsMcl(ParticleFilter):
         owner, index = np.nonzero(~good & self.cloud.placed[:, None])
         if not len(owner) or not self.config.max_iterations:
             return log_likelihood
-        predicted = particles.copy()
+        predicted = particles.copy() if self.config.prior_bandwidth > 0 else None
         particles[owner, index], log_likelihood[owner, index] = self.search(
             particles[owner, index], log_likelihood[owner, index], owner,
             spread(particles)[owner], evidence)
-        if self.config.prior_bandwidth > 0:
+        if predicted is not None:
             self.cloud.favour(np.unique(owner), predicted, self.config.prior_bandwidth)
         return log_likelihood
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
-from tsmcl_ros.evaluation.monte_carlo import bootstrap_interval, Finding, Interval
+from tsmcl_ros.evaluation.monte_carlo import (
+    bootstrap_interval,
+    Finding,
+    Interval,
+    ratio_interval,
+)
 from tsmcl_ros.types import Array
 
 # Variance of the ranges [m^2] and number of anchors; of each and a scheme, columns by name.
@@ -30,8 +35,7 @@ def mean(values: Array) -> Interval:
 
 def ratio(found: Found, setting: Setting, scheme: str, other: str, name: str) -> Interval:
     """Return a quantity of one scheme over that of another, in the same networks."""
-    pair = np.stack([found[*setting, each][name] for each in (scheme, other)])
-    return bootstrap_interval(lambda part: float(part[0].mean() / part[1].mean()), pair)
+    return ratio_interval(np.mean, *(found[*setting, each][name] for each in (scheme, other)))
 
 
 def score(found: Found, setting: Setting, scheme: str, name: str) -> Interval:

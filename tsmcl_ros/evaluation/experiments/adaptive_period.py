@@ -7,7 +7,7 @@ ranges of variance 3 m^2, an EKF, and a beacon every period, every fifth, or whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -22,11 +22,13 @@ from tsmcl_ros.evaluation.experiments.adaptive_claims import (
     Setting,
     settings,
 )
+from tsmcl_ros.evaluation.experiments.common import as_rows, by_case
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
     Finding,
     Outcome,
+    ratio_interval,
     Report,
     Result,
     significant,
@@ -81,7 +83,7 @@ class AdaptivePeriod:
 
     def cases(self) -> list[Case]:
         """Return all schemes at all variances and shares of anchors."""
-        return [{'scheme': scheme, 'variance_m2': variance, 'anchors': round(share * self.nodes)}
+        return [{'variance_m2': variance, 'anchors': round(share * self.nodes), 'scheme': scheme}
                 for variance in self.variances for share in self.shares for scheme in SCHEMES]
 
     def work(self, case: Case, seed: np.random.SeedSequence) -> Outcome:
@@ -97,7 +99,8 @@ class AdaptivePeriod:
             error.append(np.linalg.norm(estimate.mean - networks.position, axis=1))
             sampled.append(np.where(estimate.heard > 0, error[-1], np.nan))
         if self.shown == 'track':
-            return Outcome(_tracks(np.array(error), np.array(sampled)), watch.seconds)
+            return Outcome(as_rows('epoch', 'vehicle', error_m=np.array(error),
+                                   sampled_error_m=np.array(sampled)), watch.seconds)
         vehicles = self.nodes - case['anchors']
         cost = AirCost(vehicles, case['anchors'])
         schedule = networks.schedule
@@ -161,9 +164,7 @@ class AdaptivePeriod:
             late[scheme] = errors.reshape(-1, int(part['vehicle'].max()) + 1)
             rows.append([scheme, str(bootstrap_interval(np.mean, late[scheme])), *map(
                 significant, np.quantile(errors, [0.5, 0.95, 1.0]).tolist())])
-        ratio = bootstrap_interval(
-            lambda pair: float(pair[0].mean() / pair[1].mean()),
-            np.stack([late['adaptive'], late['omega 1']]))
+        ratio = ratio_interval(np.mean, late['adaptive'], late['omega 1'])
         return Report(rows, 1, [Finding(
             'the track of the adaptive period is as close as that of omega 1',
             f'{ratio} times its error at every period', '',
@@ -233,22 +234,12 @@ class Networks:
         return estimate
 
 
-def _tracks(error: Array, sampled: Array) -> dict[str, Array]:
-    """Return the errors (T, V) of all vehicles as rows, one a period and vehicle."""
-    epoch, vehicle = np.indices(error.shape)
-    return {'epoch': epoch.ravel() + 1, 'vehicle': vehicle.ravel(), 'error_m': error.ravel(),
-            'sampled_error_m': sampled.ravel()}
-
-
 def _gather(results: Sequence[Result]) -> dict[tuple[float, int, str], dict[str, Array]]:
     """Return the columns of each case, all its runs one after the other."""
-    parts: dict[tuple[float, int, str], list[Mapping[str, Array]]] = {}
-    for result in results:
-        case = result.case
-        parts.setdefault((case['variance_m2'], case['anchors'], case['scheme']), []).append(
-            result.outcome.rows)
-    return {case: {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-            for case, rows in parts.items()}
+    return {(variance, anchors, scheme): {
+        name: np.concatenate([outcome.rows[name] for outcome in outcomes])
+        for name in outcomes[0].rows}
+        for (variance, anchors, scheme), outcomes in by_case(results).items()}
 
 
 _SMALL: dict[str, Any] = {'runs': 1, 'worlds': 1, 'epochs': 30}

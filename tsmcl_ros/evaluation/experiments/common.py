@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from tsmcl_ros.evaluation.metrics import normalized_error_squared
-from tsmcl_ros.evaluation.monte_carlo import Finding, Interval, Stopwatch
+from tsmcl_ros.evaluation.monte_carlo import Finding, Interval, Outcome, Result, Stopwatch
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.mobility import State
 from tsmcl_ros.model.relay import Poses
@@ -86,6 +87,27 @@ def goal(claim: str, measured: Interval, goal: float, unit: str = '', limit: str
     verdict = 'reached' if measured.value <= goal else (
         'missed, though within the interval' if measured.low <= goal else 'missed')
     return Finding(f'{claim} <= {goal:g}{unit}', f'{measured}{unit}', limit, verdict)
+
+
+def as_rows(step: str, unit: str, **columns: Array) -> dict[str, Array]:
+    """Return values (T, U) as columns of rows, beside which step, from 1, and unit they are of."""
+    steps, units = np.indices(next(iter(columns.values())).shape)
+    return {step: steps.ravel() + 1, unit: units.ravel(),
+            **{name: values.ravel() for name, values in columns.items()}}
+
+
+def side_by_side(outcomes: Sequence[Outcome], step: str, name: str) -> Array:
+    """Return a column of `as_rows` as values (T, U) again, the units of all outcomes."""
+    return np.concatenate([
+        outcome.rows[name].reshape(outcome.rows[step][-1], -1) for outcome in outcomes], axis=1)
+
+
+def by_case(results: Sequence[Result]) -> dict[tuple[Any, ...], list[Outcome]]:
+    """Return the outcomes of all runs of each case, by what the case says."""
+    cases: dict[tuple[Any, ...], list[Outcome]] = {}
+    for result in results:
+        cases.setdefault(tuple(result.case.values()), []).append(result.outcome)
+    return cases
 
 
 def first_vehicles(observation: Observation, vehicles: int) -> Observation:

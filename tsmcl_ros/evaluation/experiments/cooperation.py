@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
-from tsmcl_ros.evaluation.experiments.common import rmse
+from tsmcl_ros.evaluation.experiments.common import as_rows, by_case, rmse, side_by_side
 from tsmcl_ros.evaluation.experiments.network import cooperate, Network
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
@@ -17,6 +17,8 @@ from tsmcl_ros.evaluation.monte_carlo import (
     Finding,
     Interval,
     Outcome,
+    percent,
+    ratio_interval,
     Report,
     Result,
     significant,
@@ -75,13 +77,12 @@ class Cooperation:
         exact = case['method'] == 'grid'
         rounds = cooperate(network, case['method'], self._settings(case), RADIO,
                            1 if exact else self.rounds, self.reference_std, filter_seed)
-        index, target = np.indices(rounds.error.shape)
         heard = np.isfinite(network.ranges[len(network.anchors):, :len(network.anchors)])
-        return Outcome({
-            'round': index.ravel() + 1, 'target': target.ravel(),
-            'anchors_heard': np.tile(heard.sum(axis=1), len(rounds.error)),
-            'error_m': rounds.error.ravel(), 'nees': rounds.nees.ravel(),
-            'localized': rounds.localized.ravel().astype(int)}, rounds.seconds)
+        return Outcome(as_rows(
+            'round', 'target',
+            anchors_heard=np.tile(heard.sum(axis=1), (len(rounds.error), 1)),
+            error_m=rounds.error, nees=rounds.nees, localized=rounds.localized.astype(int)),
+            rounds.seconds)
 
     def judge(self, results: Sequence[Result]) -> Report:
         """Return a table of all rounds, and the paper's claims beside what came of them."""
@@ -205,25 +206,20 @@ class Try:
             median, most = np.quantile(error[known], [0.5, 0.9])
             rows.append([
                 SHOWN[self.method], str(self.samples or '-'), str(index + 1),
-                f'{localized.mean():.0%}'.replace('%', ' %'),
+                percent(localized.mean()),
                 str(bootstrap_interval(rmse, error[known])), significant(float(median)),
                 significant(float(most)), significant(float(nees[known].mean())),
-                f'{np.mean(nees[known] < chi2.ppf(0.95, 2)):.0%}'.replace('%', ' %'),
+                percent(float(np.mean(nees[known] < chi2.ppf(0.95, 2)))),
                 significant(float(self.seconds.mean()))])
         return rows
 
 
 def _tries(results: Sequence[Result]) -> list[Try]:
     """Lay the runs of each case side by side."""
-    cases: dict[tuple[str, int], list[Outcome]] = {}
-    for result in results:
-        key = result.case['method'], result.case['samples']
-        cases.setdefault(key, []).append(result.outcome)
     tries = []
-    for (method, samples), outcomes in cases.items():
+    for (method, samples), outcomes in by_case(results).items():
         error, nees, localized, heard = (
-            np.concatenate([outcome.rows[name].reshape(outcome.rows['round'][-1], -1)
-                            for outcome in outcomes], axis=1)
+            side_by_side(outcomes, 'round', name)
             for name in ('error_m', 'nees', 'localized', 'anchors_heard'))
         seconds = np.array([outcome.seconds for outcome in outcomes])
         tries.append(Try(method, samples, error, nees, localized, heard[0], seconds))
@@ -232,9 +228,8 @@ def _tries(results: Sequence[Result]) -> list[Try]:
 
 def _ratio(one: Try, other: Try) -> Interval:
     """Return the ratio of RMSEs after the last round, on the targets that both have."""
-    errors = np.stack([one.error[-1], other.error[-1]])
-    errors = errors[:, np.isfinite(errors).all(axis=0)]
-    return bootstrap_interval(lambda pair: rmse(pair[0]) / rmse(pair[1]), errors)
+    both = np.isfinite(one.error[-1]) & np.isfinite(other.error[-1])
+    return ratio_interval(rmse, one.error[-1, both], other.error[-1, both])
 
 
 def _smaller(claim: str, one: Try, other: Try) -> Finding:
@@ -248,8 +243,7 @@ def _smaller(claim: str, one: Try, other: Try) -> Finding:
 
 def _faster(setting: str, one: Try, other: Try) -> Finding:
     """Return how many times longer the other method takes."""
-    ratio = bootstrap_interval(
-        lambda pair: float(pair[1].sum() / pair[0].sum()), np.stack([one.seconds, other.seconds]))
+    ratio = ratio_interval(np.sum, other.seconds, one.seconds)
     verdict = 'reproduced' if ratio.low > 1 else (
         'not to be told apart' if ratio.high > 1 else 'not reproduced')
     errors = f'at {significant(rmse(one.known))} m against {significant(rmse(other.known))} m'

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from tsmcl_ros.evaluation.experiments.common import rmse
+from tsmcl_ros.evaluation.experiments.common import as_rows, by_case, rmse, side_by_side
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
     Finding,
     Interval,
     Outcome,
+    ratio_interval,
     Report,
     Result,
     significant,
@@ -108,12 +109,9 @@ class Grey:
         sight = truth[self.lost_at + 1:]
         sight = sight / np.linalg.norm(sight, axis=2, keepdims=True)
         across = off[:, :, 1] * sight[:, :, 0] - off[:, :, 0] * sight[:, :, 1]
-        step, vehicle = np.indices(across.shape)
-        return Outcome(
-            {'horizon_s': step.ravel() + 1, 'vehicle': vehicle.ravel(),
-             'error_m': np.linalg.norm(off, axis=2).ravel(),
-             'along_m': (off * sight).sum(axis=2).ravel(), 'across_m': across.ravel()},
-            watch.seconds)
+        return Outcome(as_rows(
+            'horizon_s', 'vehicle', error_m=np.linalg.norm(off, axis=2),
+            along_m=(off * sight).sum(axis=2), across_m=across), watch.seconds)
 
     def judge(self, results: Sequence[Result]) -> Report:
         """Return a table of the errors, and the paper's claim and ours beside them."""
@@ -213,15 +211,11 @@ class Grey:
 
     def _curve(self, results: Sequence[Result], predictor: str, column: str) -> Array:
         """Return a column (horizon, UAVs) of all runs of a predictor."""
-        return np.concatenate([
-            result.outcome.rows[column].reshape(self.horizon, -1) for result in results
-            if result.case['predictor'] == predictor], axis=1)
+        return side_by_side(by_case(results)[predictor,], 'horizon_s', column)
 
     def _compared(self, curves: dict[str, Array], other: str) -> Finding:
         """Compare the mean error over the horizon with a baseline's, on the same flights."""
-        ratio = bootstrap_interval(
-            lambda pair: np.mean(pair[0]) / np.mean(pair[1]),
-            np.stack([curves['grey_ekf'], curves[other]]))
+        ratio = ratio_interval(np.mean, curves['grey_ekf'], curves[other])
         claim = 'paper: ' if other == 'grey_coordinates' else 'beyond the paper: '
         return Finding(
             f'{claim}error of grey azimuth and EKF below that of {SHOWN[other]}',

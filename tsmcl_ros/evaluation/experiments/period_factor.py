@@ -85,8 +85,7 @@ class PeriodFactor:
             plots.intervals_against(ax, {
                 f'{name} {result.case[name]:g}': (
                     result.outcome.rows['residual_m'].tolist(),
-                    [Interval(value, value, value)
-                     for value in result.outcome.rows['factor'].tolist()])
+                    [*map(Interval.exactly, result.outcome.rows['factor'].tolist())])
                 for result in part}, 'residual [m]', 'factor')
         plots.save_png(figure, path)
 

@@ -15,12 +15,13 @@ import math
 from typing import Any
 
 import numpy as np
-from tsmcl_ros.evaluation.experiments.common import follow
+from tsmcl_ros.evaluation.experiments.common import as_rows, by_case, follow, side_by_side
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
     Interval,
     Outcome,
+    ratio_interval,
     Result,
 )
 from tsmcl_ros.localizer import Localizer
@@ -96,9 +97,8 @@ class Field:
                 np.random.default_rng(links_seed)))
         track = follow(world, localizer, self.epochs, 'odom_heading' in settings, cooperative)
         error = track.error[:, :self.vehicles] / RANGE
-        epoch, vehicle = np.indices(error.shape)
-        return Outcome({'epoch': epoch.ravel() + 1, 'vehicle': vehicle.ravel(),
-                        'error_r': error.ravel()}, track.seconds * error.size / track.error.size)
+        return Outcome(as_rows('epoch', 'vehicle', error_r=error),
+                       track.seconds * error.size / track.error.size)
 
     def _method(self, case: Case) -> dict[str, Any]:
         if case['filter'] == 'exact':
@@ -228,22 +228,18 @@ def noise(case: Case) -> str:
 
 def ratio(curve: Curve, other: Curve) -> Interval:
     """Return one mean error over another, of the same vehicles."""
-    return bootstrap_interval(
-        lambda pair: float(pair[0].mean() / pair[1].mean()), np.stack([curve.late, other.late]))
+    return ratio_interval(np.mean, curve.late, other.late)
 
 
 def gather(results: Sequence[Result]) -> list[Curve]:
     """Lay the runs of each case side by side."""
-    cases: dict[tuple[Any, ...], list[Result]] = {}
-    for result in results:
-        cases.setdefault(tuple(result.case.values()), []).append(result)
+    names = list(results[0].case)
     curves = []
-    for runs in cases.values():
-        error = np.concatenate([
-            run.outcome.rows['error_r'].reshape(run.outcome.rows['epoch'][-1], -1)
-            for run in runs], axis=1)
-        seconds = sum(run.outcome.seconds for run in runs)
-        curves.append(Curve(runs[0].case, error, 1000 * seconds / error.size))
+    for case, outcomes in by_case(results).items():
+        error = side_by_side(outcomes, 'epoch', 'error_r')
+        seconds = sum(outcome.seconds for outcome in outcomes)
+        curves.append(Curve(
+            dict(zip(names, case, strict=True)), error, 1000 * seconds / error.size))
     return curves
 
 

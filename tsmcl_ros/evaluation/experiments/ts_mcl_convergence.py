@@ -10,12 +10,22 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
-from tsmcl_ros.evaluation.experiments.common import follow, goal, Parked, rmse
+from tsmcl_ros.evaluation.experiments.common import (
+    as_rows,
+    by_case,
+    follow,
+    goal,
+    Parked,
+    rmse,
+    side_by_side,
+)
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
     Finding,
     Outcome,
+    percent,
+    ratio_interval,
     Report,
     Result,
     significant,
@@ -119,10 +129,8 @@ class TsMclConvergence:
             world, Localizer(settings, vehicles),
             self.lens_epochs if case['anchors_apart_m'] else self.epochs,
             odometry=case['evidence'] == 'odometry')
-        epoch, vehicle = np.indices(track.error.shape)
-        return Outcome(
-            {'epoch': epoch.ravel() + 1, 'vehicle': vehicle.ravel(),
-             'error_m': track.error.ravel(), 'nees': track.nees.ravel()}, track.seconds)
+        return Outcome(as_rows('epoch', 'vehicle', error_m=track.error, nees=track.nees),
+                       track.seconds)
 
     def judge(self, results: Sequence[Result]) -> Report:
         """Return a table of all curves, and the paper's claim and ours beside them."""
@@ -183,7 +191,7 @@ class TsMclConvergence:
             str(late.shape[1]), str(bootstrap_interval(np.median, late)),
             str(bootstrap_interval(np.median, late[-1:])), str(bootstrap_interval(rmse, late)),
             significant(float(curve.late_nees.mean())),
-            f'{np.mean(curve.late_nees < chi2.ppf(0.95, 2)):.0%}'.replace('%', ' %'),
+            percent(float(np.mean(curve.late_nees < chi2.ppf(0.95, 2)))),
             significant(curve.update_ms)]
 
     def _goals(self, curves: Sequence[Curve]) -> list[Finding]:
@@ -191,8 +199,7 @@ class TsMclConvergence:
         tabu = _find(curves, 'odometry', 'ts_mcl')
         most = [curve for curve in curves if curve.filter == 'bootstrap'][-1]
         what = f'odometry and silence, TS-MCL with {self.particles} particles: '
-        compared = bootstrap_interval(
-            lambda pair: rmse(pair[0]) / rmse(pair[1]), np.stack([tabu.late, most.late]))
+        compared = ratio_interval(rmse, tabu.late, most.late)
         return [
             goal(f'{what}median over epochs {self.epochs // 2}-{self.epochs}',
                   bootstrap_interval(np.median, tabu.late), CLAIMED, ' m'),
@@ -280,17 +287,10 @@ class Curve:
 
 def _curves(results: Sequence[Result]) -> list[Curve]:
     """Lay the runs of each case side by side."""
-    cases: dict[tuple[Any, ...], list[Outcome]] = {}
-    for result in results:
-        cases.setdefault(tuple(result.case.values()), []).append(result.outcome)
     curves = []
-    for case, outcomes in cases.items():
-        error, nees = (
-            np.concatenate([outcome.rows[name].reshape(outcome.rows['epoch'][-1], -1)
-                            for outcome in outcomes], axis=1)
-            for name in ('error_m', 'nees'))
+    for (evidence, method, particles, apart), outcomes in by_case(results).items():
+        error, nees = (side_by_side(outcomes, 'epoch', name) for name in ('error_m', 'nees'))
         seconds = sum(outcome.seconds for outcome in outcomes)
-        evidence, method, particles, apart = case
         curves.append(Curve(
             evidence, method, particles, apart, error, nees, 1000 * seconds / error.size))
     return curves

@@ -21,6 +21,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
     Finding,
     Interval,
     Outcome,
+    ratio_interval,
     Report,
     Result,
     significant,
@@ -201,8 +202,7 @@ class TsMclTime(HeardOnly):
         outcomes = Outcomes(results)
 
         def seconds(**what: Any) -> Interval:
-            value = outcomes.seconds(**what)
-            return Interval(value, value, value)
+            return Interval.exactly(outcomes.seconds(**what))
 
         curves = {f'TS-MCL, {count} particles': (
             self.iterations, [seconds(filter='ts_mcl', particles=count, iterations=number)
@@ -269,9 +269,7 @@ class Outcomes:
 
     def ratio(self, ours: Case, theirs: Case) -> Interval:
         """Return a mean error over another one of the same vehicles."""
-        return bootstrap_interval(
-            lambda pair: float(pair[0].mean() / pair[1].mean()),
-            np.stack([self.errors(**ours), self.errors(**theirs)]))
+        return ratio_interval(np.mean, self.errors(**ours), self.errors(**theirs))
 
     def seconds(self, **what: Any) -> float:
         """Return the processor time [s] of all runs of the cases that say this."""
