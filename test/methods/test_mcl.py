@@ -146,6 +146,16 @@ def test_without_redraws_survivors_are_copied() -> None:
     assert distinct(filter_) == inside
 
 
+def test_copies_of_a_single_survivor_part() -> None:
+    filter_ = mcl(KNOWN, max_redraws=0, jitter=0.05)
+    filter_.start(prior(x=500.0, std=10.0))
+    filter_.cloud.states[0, 0, :2] = 0
+    filter_.predict(Motion(1.0, np.zeros((1, 2)), np.zeros(1)))
+    estimate = filter_.update(listen([(0.0, 0.0)]))
+    assert distinct(filter_) == 50
+    assert np.linalg.eigvalsh(estimate.covariance[0]).min() > 0
+
+
 def test_copies_are_spread_over_all_survivors() -> None:
     filter_ = mcl(KNOWN, max_redraws=0, min_particles=20_000, max_particles=20_000)
     filter_.start(prior(x=500.0, std=0.0))

@@ -75,6 +75,40 @@ def test_random_motion_in_space_is_uniform_over_all_heights() -> None:
     assert stats.kstest(height, stats.uniform(-1, 2).cdf).pvalue > SIGNIFICANCE
 
 
+def test_random_motion_in_space_has_even_heights() -> None:
+    moved = RandomMotion(config()).predict(still(3), Motion(1.0), rng())[0]
+    height = moved[:, 2] / np.linalg.norm(moved, axis=1)
+    assert stats.kstest(height, stats.uniform(-1, 2).cdf).pvalue > SIGNIFICANCE
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_single_particle_moves_at_random_all_the_same(dimension: int) -> None:
+    # One particle of each of many vehicles, whose draws do not depend on each other.
+    start = np.zeros((MANY, 1, dimension), np.float32)
+    moved = RandomMotion(config(max_speed=20.0)).predict(start, Motion(1.5), rng())[:, 0]
+    share = (np.linalg.norm(moved, axis=1) / 30.0) ** dimension
+    assert stats.kstest(share, 'uniform').pvalue > SIGNIFICANCE
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_the_mean_of_a_cloud_that_moves_at_random_hardly_moves(dimension: int) -> None:
+    clouds = np.zeros((500, 50, dimension), np.float32)
+    even = RandomMotion(config(max_speed=20.0)).predict(clouds, Motion(1.0), rng())
+    independent = uniform_ball(clouds.shape, 20.0, rng())
+    assert np.std(even.mean(axis=1)) < 0.4 * np.std(independent.mean(axis=1))
+
+
+def test_random_motion_forgets_the_last_one() -> None:
+    # In two steps the square of the way is that of independent steps, 2 r^2 / 2.
+    model = RandomMotion(config(max_speed=20.0))
+    draw, clouds = rng(), np.zeros((200, 50, 2), np.float32)
+    for _ in range(2):
+        clouds = model.predict(clouds, Motion(1.0), draw)
+    squares = np.square(clouds).sum(axis=2).mean(axis=1)
+    assert stats.ttest_1samp(squares, 400.0).pvalue > SIGNIFICANCE
+    assert np.std(squares) < 100
+
+
 def test_random_motion_is_never_faster_than_the_maximum() -> None:
     moved = RandomMotion(config(max_speed=20.0)).predict(still(), Motion(2.0), rng())
     assert np.linalg.norm(moved, axis=2).max() <= 40.0 * (1 + 1e-6)

@@ -16,6 +16,7 @@ from tsmcl_ros.model.particles import (
     moments,
     normalize,
     systematic_resample,
+    z_order,
 )
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
@@ -230,8 +231,15 @@ class Cloud:
         self.weights[vehicle] = weights / weights.sum(axis=1, keepdims=True)
 
     def estimate(self, observation: Observation) -> Estimate:
-        """Return the weighted mean and covariance of every vehicle's cloud."""
-        mean, covariance = moments(self.particles, self.weights)
+        """
+        Return the weighted mean and covariance of every vehicle's cloud.
+
+        A mean of few effective particles is off by chance, with about the cloud's covariance over
+        their number; it is added, so that a cloud of which one particle is left does not claim
+        to be certain.
+        """
+        ess = effective_sample_size(self.weights)
+        mean, covariance = moments(self.particles, self.weights, error=1 / ess)
         mean[~self.placed] = np.nan
         covariance[~self.placed] = np.nan
         rotation, rotation_variance = self._rotation()
@@ -239,7 +247,7 @@ class Cloud:
         return Estimate(
             stamp=observation.stamp, mean=mean, covariance=covariance,
             rotation=rotation, rotation_variance=rotation_variance,
-            ess=effective_sample_size(self.weights), particles=self.states.shape[1],
+            ess=ess, particles=self.states.shape[1],
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
@@ -278,7 +286,10 @@ class Cloud:
                 flat[scarce], likelihood[scarce], owner[scarce],
                 np.repeat(spread(candidates), many)[scarce], evidence)
             weights, _ = normalize(likelihood.reshape(shape[:2]))
-        self.fill(vehicle, flat.reshape(shape), weights)
+        points = flat.reshape(shape)
+        order = z_order(points)
+        self.fill(vehicle, np.take_along_axis(points, order[:, :, None], axis=1),
+                  np.take_along_axis(weights, order, axis=1))
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
         self._doubts[vehicle] = 0
 

@@ -16,6 +16,11 @@ from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.kernel import BallKernel, GaussianKernel, Kernel
 from tsmcl_ros.types import Array, Motion
 
+# The steps of the additive recurrence that leaves the smallest gaps in 2 and 3 dimensions: powers
+# of 1/g, g^(D+1) = g + 1, the golden ratio's kin (Roberts 2018).
+_RECURRENCE = {2: (0.7548776662466927, 0.5698402909980532),
+               3: (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)}
+
 
 @dataclass(frozen=True)
 class MotionConfig(Config):
@@ -86,8 +91,8 @@ class RandomMotion:
         return np.zeros((vehicles, count, 0), np.float32)
 
     def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
-        """Return the states (V, N, D) after the motion."""
-        return states + uniform_ball(states.shape, self.reach(motion.elapsed), rng)
+        """Return the states (V, N, D) after the motion, each vehicle's evenly spread."""
+        return states + even_ball(states.shape, self.reach(motion.elapsed), rng)
 
     def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> BallKernel:
         """Return the balls around the states (V, N, D)."""
@@ -255,6 +260,30 @@ def uniform_ball(shape: tuple[int, ...], radius: float, rng: np.random.Generator
     direction /= np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-20)
     fraction = rng.random((*shape[:-1], 1), np.float32) ** np.float32(1 / dimension)
     return direction * (np.float32(radius) * fraction)
+
+
+def even_ball(shape: tuple[int, int, int], radius: float, rng: np.random.Generator) -> Array:
+    """
+    Return float32 points (V, N, D), each uniform in the ball of this radius [m], evenly spread.
+
+    The N points of a vehicle are an additive recurrence with a random shift (Cranley and
+    Patterson 1976), so that the cloud's mean hardly moves by chance. Their order is random, lest
+    a particle's next displacement follow from its last.
+    """
+    vehicles, count, dimension = shape
+    step = np.asarray(_RECURRENCE[dimension])
+    even = ((rng.permutation(count)[:, None] * step) % 1).astype(np.float32)
+    even = even + rng.random((vehicles, 1, dimension), np.float32)
+    even -= even >= 1
+    distance = np.float32(radius) * (
+        np.sqrt(even[:, :, 0]) if dimension == 2 else np.cbrt(even[:, :, 0]))
+    azimuth = np.float32(2 * math.pi) * even[:, :, 1]
+    if dimension == 2:
+        return np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth)], axis=2)
+    height = 2 * even[:, :, 2] - 1
+    across = distance * np.sqrt(1 - np.square(height))
+    return np.stack(
+        [across * np.cos(azimuth), across * np.sin(azimuth), distance * height], axis=2)
 
 
 def motion_model(config: MotionConfig, dimension: int, odometry: bool) -> MotionModel:

@@ -48,6 +48,23 @@ def systematic_resample(weights: Array, count: int, rng: np.random.Generator) ->
     return np.repeat(particle.ravel(), copies.ravel()).reshape(vehicles, count)
 
 
+def z_order(points: Array) -> Array:
+    """
+    Return indices (V, P) that put points (V, P, D) in the order of a space-filling curve.
+
+    Systematic resampling of points in this order draws neighbours together instead of by chance,
+    so that a few particles spread evenly over what they stand for (Gerber, Chopin, Whiteley:
+    Negative association, ordering and convergence of resampling methods, 2019). The curve is
+    Morton's, with 1024 cells along each axis of each cloud's own box.
+    """
+    low, high = points.min(axis=1, keepdims=True), points.max(axis=1, keepdims=True)
+    cell = ((points - low) / np.maximum(high - low, 1e-9) * 1023).astype(np.int32)
+    dimension, number = points.shape[2], np.arange(1024)
+    apart = sum(((number >> bit) & 1) << (bit * dimension) for bit in range(10))
+    key = sum(np.take(apart, cell[:, :, axis]) << axis for axis in range(dimension))
+    return np.argsort(key, axis=1, kind='stable')
+
+
 def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
     """
     Return the mean of Gaussian kernels at points (V, P, D), (V, P) float32 above 0.
@@ -65,13 +82,16 @@ def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
     return np.asarray((np.exp(exponent).sum(axis=2) + np.float32(1e-6)) / count)
 
 
-def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
+def moments(particles: Array, weights: Array, error: Array | None = None) -> tuple[Array, Array]:
     """
     Return the weighted mean (V, D) [m] and covariance (V, D, D) [m^2], in float64.
 
     The printed formula (1/N) sum w x of the TS-MCL paper (Sun, Wang, Zhang 2016), with weights
-    that sum to 1, divides by N twice; this is sum w x.
+    that sum to 1, divides by N twice; this is sum w x. With an `error` (V,), so much of the
+    unweighted cloud's mean square about the mean is added to the covariance.
     """
     mean = np.einsum('vn,vnd->vd', weights, particles, dtype=np.float64)
     deviation = particles - mean[:, None, :]
+    if error is not None:
+        weights = weights + (error / weights.shape[1])[:, None]
     return mean, np.einsum('vn,vni,vnj->vij', weights, deviation, deviation)

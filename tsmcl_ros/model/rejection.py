@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from tsmcl_ros.config import param
-from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter, spread
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.kernel import choose, Kernel
 from tsmcl_ros.model.motion import MotionModel
@@ -144,7 +144,12 @@ class RejectionFilter(ParticleFilter):
         return np.asarray(starved)
 
     def _copy_survivors(self, rejected: Array) -> None:
-        """Replace the rejected (V, N) bool by random survivors, of which all have some."""
+        """
+        Replace the rejected (V, N) bool by random survivors, of which all have some.
+
+        Copies part by the jitter of resampled particles, else a cloud with one survivor would
+        claim to be certain.
+        """
         states, weights = self.cloud.states, self.cloud.weights
         owner, index = np.nonzero(rejected)
         if len(owner):
@@ -153,8 +158,12 @@ class RejectionFilter(ParticleFilter):
             number = weights.shape[1] - rejected.sum(axis=1)
             rank = (self.rng.random(len(owner)) * number[owner]).astype(np.int64)
             survivor = survivors[owner, rank]
+            jitter = self.config.jitter * spread(self.cloud.particles)[owner, None]
             states[owner, index] = states[owner, survivor]
             weights[owner, index] = weights[owner, survivor]
+            position = self.cloud.particles
+            position[owner, index] += jitter * self.rng.standard_normal(
+                (len(owner), position.shape[2]), np.float32)
 
     def kernel(self) -> Kernel:
         """Return where the last motion may have led."""
