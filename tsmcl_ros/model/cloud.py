@@ -148,8 +148,8 @@ class Cloud:
         hopeless = best < -self.config.exclusion - 0.7 * evidence.terms
         return np.asarray(self.placed & (hopeless | (self._doubts >= self.config.patience)))
 
-    def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None
-                ) -> Array:
+    def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None,
+                spared: Array | None = None) -> Array:
         """
         Draw the excluded clouds anew; return the log-likelihood (V, N) of all particles.
 
@@ -161,8 +161,12 @@ class Cloud:
             Of the particles under it.
         repair : Repair, optional
             For those drawn anew.
+        spared : (V,) bool, optional
+            Vehicles whose clouds are not.
         """
         excluded = self.excluded(evidence, log_likelihood)
+        if spared is not None:
+            excluded &= ~spared
         if not excluded.any():
             return log_likelihood
         self.place_again(excluded, evidence, repair)

@@ -100,13 +100,14 @@ class CooperativeFilter(ParticleFilter):
     def update(self, observation: Observation) -> Estimate:
         """Draw the particles from around the references and from the prediction."""
         evidence = self.channel.evidence(observation)
-        unsettled = np.zeros((len(self.settled), 2))
+        unsettled, new = np.zeros((len(self.settled), 2)), ~self.cloud.placed
         for vehicle in self._portions(observation):
             proposal = self.propose(observation.of(vehicle).trimmed())
             unsettled[vehicle] = self.locate(proposal, vehicle)
         self.cloud.place(evidence)
         log_likelihood = evidence.log_likelihood(self.cloud.particles)
-        self.cloud.weigh(self.cloud.recover(evidence, log_likelihood))
+        # Who is placed by this very evidence, however unlikely, has no belief that it excludes.
+        self.cloud.weigh(self.cloud.recover(evidence, log_likelihood, spared=new))
         estimate = self.cloud.estimate(observation)
         self.cloud.resample()
         return replace(estimate, covariance=estimate.covariance
