@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.config import build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.model.echo import guard, refuse_certainty
+from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
@@ -169,6 +169,7 @@ class Localizer:
         self._method: Estimator | None = None
         self._pending: dict[float, dict[int, Observation]] = {}
         self._priors: list[Prior] = []
+        self._hearsay = Hearsay(self.vehicles, self.config.dimension)
         self._passed = np.full(self.vehicles, -np.inf)
         self._heard_at = np.full(self.vehicles, -np.inf)
         self._reinitializations = np.zeros(self.vehicles, int)
@@ -274,6 +275,7 @@ class Localizer:
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
         self._outage.forget(vehicle)
+        self._hearsay.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
 
@@ -333,13 +335,19 @@ class Localizer:
             self._method.predict(motion or Motion(stamp - self._estimate.stamp))
         for prior in self._outage.resume(stamp, observation.heard.any(axis=1)):
             self._method.start(prior)
+            self._hearsay.forget(prior.vehicle)
         for prior in self._priors:
             self._method.start(self._rotated(prior))
+            self._hearsay.forget(prior.vehicle)
             self._outage.forget(prior.vehicle)
         self._priors = []
-        observation = self._guarded(self._listen(observation))
+        claimed = self._listen(observation)
+        observation = self._guarded(claimed)
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
+        if self.evidence_config.echo_guard > 0:
+            _, std, ranged = self.channel.distances(observation)
+            estimate = self._hearsay.add(estimate, claimed, observation, std, ranged)
         estimate = self._through_outage(estimate, observation, motion)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
@@ -407,6 +415,7 @@ class Localizer:
         for vehicle in np.flatnonzero(np.isfinite(estimate.mean).all(axis=1)).tolist():
             self._method.start(
                 Prior(vehicle, estimate.mean[vehicle], estimate.covariance[vehicle]))
+            self._hearsay.forget(vehicle)
 
     def _rotated(self, prior: Prior) -> Prior:
         """Return the prior with the odometry frame's rotation in place of the vehicle's yaw."""

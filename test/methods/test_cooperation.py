@@ -153,6 +153,17 @@ def test_a_vehicle_that_moves_is_followed_by_a_single_range(method: str) -> None
 
 
 @pytest.mark.parametrize('method', COOPERATIVE)
+def test_a_range_that_nothing_explains_does_not_undo_what_the_others_found(method: str) -> None:
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ranges = np.full(24, 24.0)
+    ranges[0] = 5.0
+    estimate = make(method).update(
+        ranged(24.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1), ranges))
+    assert not estimate.reinitialized[0]
+    assert np.linalg.norm(estimate.mean[0]) < 3.0
+
+
+@pytest.mark.parametrize('method', COOPERATIVE)
 def test_three_dimensions_are_refused(method: str) -> None:
     kind = METHODS[method]
     with pytest.raises(ConfigError, match='dimension: 3 is not allowed.* must be 2'):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tsmcl_ros.evaluation.metrics import nees_band, normalized_error_squared
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.model.echo import guard, refuse_certainty
+from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
 from tsmcl_ros.model.relay import Poses
-from tsmcl_ros.types import ANCHOR, MessageError, Observation, PADDED, VEHICLE
+from tsmcl_ros.types import ANCHOR, Estimate, MessageError, Observation, PADDED, VEHICLE
 from tsmcl_ros.world import make_world
 
 # What one vehicle, at the origin with a variance of 9 m^2 along x and 1 along y, hears.
@@ -73,6 +73,74 @@ def test_no_covariance_makes_nan_of_a_reference(covariance: np.ndarray) -> None:
         assert np.isfinite(guarded.covariance).all()
 
 
+# What is inherited from references
+
+AROUND = [(20, 0), (-20, 0), (0, 20), (0, -20)]
+
+
+def estimated(covariance: np.ndarray, mean: np.ndarray = MEAN) -> Estimate:
+    nothing = np.zeros(1)
+    return Estimate(1.0, mean, covariance, nothing, nothing, nothing, 1, nothing, nothing,
+                    np.zeros(1, bool))
+
+
+def inherited(hearsay: Hearsay, covariance: np.ndarray, observation: Observation) -> np.ndarray:
+    """Return what ranges of 1 m to all references add to the covariance."""
+    std = np.ones(observation.sender.shape)
+    total = hearsay.add(estimated(covariance), observation, observation, std, observation.heard)
+    return np.asarray(total.covariance - covariance)
+
+
+def test_one_placed_by_vehicles_alone_inherits_their_whole_error() -> None:
+    # Four ranges of 1 m to references of 3 m^2: a variance of (1 + 3) / 2 along each axis.
+    added = inherited(Hearsay(1, 2), 2.0 * np.eye(2)[None], heard(*AROUND, variance=3.0))
+    np.testing.assert_allclose(added, 3.0 * np.eye(2)[None], atol=1e-5)
+
+
+def test_nothing_is_inherited_from_anchors() -> None:
+    added = inherited(Hearsay(1, 2), COVARIANCE, heard(*AROUND, kind=ANCHOR))
+    np.testing.assert_array_equal(added, 0)
+
+
+def test_ranges_to_anchors_wear_down_what_was_inherited() -> None:
+    hearsay = Hearsay(1, 2)
+    hearsay.covariance[:] = 4.0 * np.eye(2)
+    # A posterior of 0.25 m^2 from two ranges of 1 m along each axis: a gain of one half.
+    added = inherited(hearsay, 0.25 * np.eye(2)[None], heard(*AROUND, variance=0.0, kind=ANCHOR))
+    np.testing.assert_allclose(added, np.eye(2)[None], atol=1e-5)
+
+
+def test_who_is_placed_anew_inherits_nothing_of_what_it_believed() -> None:
+    hearsay = Hearsay(1, 2)
+    hearsay.covariance[:] = 4.0 * np.eye(2)
+    hearsay.forget(0)
+    np.testing.assert_array_equal(hearsay.covariance, 0)
+
+
+def test_without_an_estimate_nothing_is_inherited() -> None:
+    unknown = estimated(np.full((1, 2, 2), np.nan), np.full((1, 2), np.nan))
+    observation = heard(*AROUND)
+    hearsay = Hearsay(1, 2)
+    hearsay.add(unknown, observation, observation, np.ones((1, 4)), observation.heard)
+    np.testing.assert_array_equal(hearsay.covariance, 0)
+
+
+def test_references_that_share_one_error_do_not_make_sure() -> None:
+    # A Kalman filter of 2000 vehicles that takes four references' errors for independent news in
+    # each of 30 epochs, though all have one and the same error all the time.
+    rng = np.random.default_rng(1)
+    shared = rng.normal(0, np.sqrt(3.0), (2000, 1))
+    error, own = rng.normal(0, 5.0, (2000, 1)), 25.0
+    hearsay, observation = Hearsay(1, 2), heard(*AROUND, variance=3.0)
+    for _ in range(30):
+        gain = own / (own + (1.0 + 3.0) / 2)
+        noise = rng.normal(0, np.sqrt(0.5), error.shape)
+        error, own = error + gain * (shared + noise - error), (1 - gain) * own
+        total = own + inherited(hearsay, own * np.eye(2)[None], observation)[0, 0, 0]
+    assert own < 0.1
+    assert 0.7 < np.var(error) / total < 1.1
+
+
 def test_vehicles_that_know_an_axis_exactly_are_refused_and_anchors_are_not() -> None:
     exact = heard((20, 0), variance=0.0)
     with pytest.raises(MessageError, match='vehicle 0 claims a singular covariance'):
@@ -113,7 +181,8 @@ def nees(seed: int, echo_guard: float, radio_range: float, **world: float) -> fl
 
 @pytest.mark.parametrize(('seed', 'world'), [
     (2, {'radio_range': 35.0}),
-    (1, {'radio_range': 45.0, 'min_speed': 1e-3, 'max_speed': 1e-3})], ids=['moving', 'parked'])
+    (1, {'radio_range': 45.0, 'min_speed': 1e-3, 'max_speed': 1e-3}),
+    (3, {'radio_range': 35.0})], ids=['moving', 'parked', 'much from others'])
 def test_a_fleet_is_honest_with_the_guard_and_overconfident_without(
     seed: int, world: dict[str, float],
 ) -> None:

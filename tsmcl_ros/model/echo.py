@@ -8,6 +8,10 @@ only. Along the line of sight, with own variance s_i^2 and the reference's s_j^2
 q = s_j^2 / s_i^2 >= 1 is left out, and the covariance of others is divided by 1 - q, as covariance
 intersection does with a weight (Julier and Uhlmann 1997): however often it is heard, a vehicle
 comes to know its distance as well as the reference does, and not better.
+
+Several references can still teach more than each of them knows, as if their errors were news of
+their own, which they are not where all have them from the same others. What an estimate owes to
+the errors of its references is therefore kept apart and added to its covariance (`Hearsay`).
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from tsmcl_ros.types import Array, MessageError, Observation, PADDED, VEHICLE
+from tsmcl_ros.types import Array, Estimate, MessageError, Observation, PADDED, VEHICLE
 
 # Of the largest variance: less than this is a covariance that FLOAT32 has made of nothing.
 _SINGULAR = 1e-6
@@ -51,6 +55,90 @@ def guard(observation: Observation, mean: Array, covariance: Array, strength: fl
     return replace(
         observation, sender=np.where(usable, observation.sender, PADDED),
         covariance=observation.covariance / factor[:, :, None, None])
+
+
+class Hearsay:
+    """
+    What the estimates of V vehicles owe to the errors of the vehicles that they have ranges to.
+
+    A split covariance, as Julier and Uhlmann (Split covariance intersection, 2001) have it: to
+    the independent part, which is the method's, comes one that never averages out, however many
+    references there are and however often they are heard. An epoch whose ranges have the gain K,
+    those to vehicles K_v, turns an inherited error e into (I - K) e + K_v e', with e' the
+    references' error. Both terms may be one and the same error: their standard deviations add.
+
+    Attributes
+    ----------
+    covariance : (V, D, D) float64
+        Of the inherited errors [m^2].
+    """
+
+    def __init__(self, vehicles: int, dimension: int):
+        self.covariance = np.zeros((vehicles, dimension, dimension))
+
+    def forget(self, vehicle: int) -> None:
+        """Begin again with a vehicle whose belief is replaced."""
+        self.covariance[vehicle] = 0
+
+    def add(self, estimate: Estimate, claimed: Observation, believed: Observation, std: Array,
+            ranged: Array) -> Estimate:
+        """
+        Return the estimate with what is inherited in its covariance.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            By what was believed.
+        claimed, believed : Observation
+            What the references said of themselves, and what the guard made of it.
+        std : (V, K) float
+            Of the ranges [m].
+        ranged : (V, K) bool
+            The rows whose range counts.
+        """
+        known = np.isfinite(estimate.mean).all(axis=1)
+        self.covariance[estimate.reinitialized | ~known] = 0
+        ranged = ranged & known[:, None]
+        vehicles = ranged & (believed.kind == VEHICLE)
+        if not (vehicles.any() or self.covariance.any()):
+            return estimate
+        sight = np.where(
+            ranged[:, :, None], believed.position - np.nan_to_num(estimate.mean)[:, None], 0)
+        sight = sight / np.maximum(np.linalg.norm(sight, axis=2, keepdims=True), 1e-3)
+        said = np.where(ranged[:, :, None, None], believed.covariance, 0)
+        variance = np.square(std) + np.einsum('vki,vkij,vkj->vk', sight, said, sight)
+        precision = ranged / variance
+        own = np.where(known[:, None, None], estimate.covariance, 0)
+        rest = np.eye(sight.shape[2]) - _gain(own, precision, sight)
+        learnt = _gain(own, precision * vehicles, sight)
+        share = precision * vehicles
+        share = share / np.maximum(share.sum(axis=1, keepdims=True), 1e-12)
+        theirs = np.einsum('vk,vkij->vij', share, np.where(
+            vehicles[:, :, None, None], claimed.covariance, 0))
+        self.covariance = _correlated_sum(
+            rest @ self.covariance @ np.swapaxes(rest, 1, 2),
+            learnt @ theirs @ np.swapaxes(learnt, 1, 2))
+        return replace(estimate, covariance=estimate.covariance + self.covariance)
+
+
+def _gain(covariance: Array, precision: Array, sight: Array) -> Array:
+    """
+    Return by how much (V, D, D) an estimate goes along with its references.
+
+    That is the covariance (V, D, D) after the ranges times their information: precision (V, K)
+    [1/m^2] along unit vectors (V, K, D). A covariance that is more than the ranges leave, as that
+    of several modes, would make more than all of it.
+    """
+    gain = covariance @ np.einsum('vk,vki,vkj->vij', precision, sight, sight)
+    most = np.linalg.norm(gain, ord=2, axis=(1, 2))
+    return np.asarray(gain / np.maximum(most, 1)[:, None, None])
+
+
+def _correlated_sum(one: Array, other: Array) -> Array:
+    """Return the covariance (V, D, D) of a sum of errors, however correlated they are."""
+    first, second = (np.sqrt(np.maximum(np.trace(each, axis1=1, axis2=2), 1e-12))[:, None, None]
+                     for each in (one, other))
+    return np.asarray((first + second) * (one / first + other / second))
 
 
 def refuse_certainty(observation: Observation) -> None:
