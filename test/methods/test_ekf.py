@@ -11,7 +11,7 @@ from tsmcl_ros.evaluation.metrics import normalized_error_squared
 from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
-from tsmcl_ros.types import Motion, Observation, Prior
+from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 
 RANGE_STD = 2.0
 
@@ -21,7 +21,7 @@ def make(vehicles: int = 1, dimension: int = 3, motion: dict[str, Any] | None = 
     """Return an EKF without odometry."""
     config = MotionConfig(**{'motion_model': 'velocity', 'acceleration_std': 0.5,
                              'max_speed': 5.0, **(motion or {})})
-    channel = Channel(RadioConfig(range_std=RANGE_STD, **(radio or {})),
+    channel = Channel(RadioConfig(**{'range_std': RANGE_STD, **(radio or {})}),
                       EvidenceConfig(outlier_fraction=outliers, range_calibration='off'))
     return Ekf(Ekf.Config(**settings), channel, motion_model(config, dimension, True), vehicles,
                dimension, np.random.default_rng(1))
@@ -205,6 +205,64 @@ def test_the_period_follows_the_residual() -> None:
     np.testing.assert_array_equal(heard_nothing.period_factor, [15, 1])
 
 
+@pytest.mark.parametrize(('count', 'noise'), [(6, 0.5), (6, 8.0), (18, 0.5), (18, 8.0)])
+def test_a_normalized_residual_asks_alike_whatever_the_noise_and_the_anchors(
+        count: int, noise: float) -> None:
+    draw, anchors = np.random.default_rng(3), field(count)
+    filter_ = make(200, outliers=0.0, radio={'range_std': noise}, beacon_period='adaptive',
+                   period_residual='normalized', period_q=4.0, period_alpha=400.0)
+    for elapsed, truth in cruise(200, 3, [1.0] * 12):
+        observation = ranged(truth, anchors, None)
+        observation.range[:] += noise * draw.standard_normal(observation.range.shape)
+        filter_.predict(Motion(elapsed))
+        factor = filter_.update(observation).period_factor
+    assert factor is not None
+    # 1 / (1 / 4 + exp(chi2 / 2) / 400) rounds to 4 below a chi2 of 5.3.
+    assert (factor == 4).mean() == pytest.approx(stats.chi2(3).cdf(5.3), abs=0.08)
+
+
+def turning(vehicles: int, elapsed: float) -> list[np.ndarray]:
+    """Return positions of vehicles that turn by a right angle half-way."""
+    way = np.zeros((vehicles, 3)) + [150.0, 150.0, 100.0]
+    return [way := way + elapsed * np.eye(3)[int(step >= 15)] * 2.0 for step in range(25)]
+
+
+@pytest.mark.parametrize('elapsed', [1.0, 4.0])
+def test_a_noticed_turn_costs_less(elapsed: float) -> None:
+    anchors, errors = field(), []
+    for notice in (False, True):
+        draw = np.random.default_rng(3)
+        filter_ = make(50, motion={'acceleration_std': 0.02, 'max_speed': 2.0},
+                       notice_turns=notice)
+        late = []
+        for truth in turning(50, elapsed):
+            filter_.predict(Motion(elapsed))
+            estimate = filter_.update(ranged(truth, anchors, draw))
+            late.append(np.linalg.norm(estimate.mean - truth, axis=1).mean())
+        errors.append(np.mean(late[15:]))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_turns_are_noticed_by_ranges_alone() -> None:
+    anchors, spreads = field(), []
+    for notice in (False, True):
+        filter_ = make(motion={'acceleration_std': 0.02}, radio={'radio_model': 'disk'},
+                       notice_turns=notice)
+        for _ in range(3):
+            filter_.predict(Motion(1.0))
+            filter_.update(ranged(np.full((1, 3), 150.0), anchors, None))
+        merely_heard = ranged(np.full((1, 3), 150.0), anchors[:1], None)
+        merely_heard.range[:] = np.nan
+        filter_.predict(Motion(1.0))
+        spreads.append(filter_.update(merely_heard).covariance)
+    np.testing.assert_array_equal(*spreads)
+
+
+def test_turns_are_noticed_of_velocities_only() -> None:
+    with pytest.raises(ConfigError, match='notice_turns: True is not allowed, must be False'):
+        make(motion={'motion_model': 'random'}, notice_turns=True)
+
+
 def test_nobody_asks_for_a_period_unless_told_to() -> None:
     estimate = make().update(ranged(np.full((1, 3), 150.0), field(), None))
     assert estimate.period_factor is None
@@ -236,7 +294,9 @@ def test_whatever_is_heard_and_driven_it_stays_finite(
     draw = np.random.default_rng(8)
     for model in ('disk', 'lognormal'):
         filter_ = make(4, dimension, {'motion_model': motion, 'odom_heading': heading},
-                       {'radio_model': model}, beacon_period='adaptive')
+                       {'radio_model': model}, beacon_period='adaptive',
+                       period_residual='sum' if model == 'disk' else 'normalized',
+                       notice_turns=motion == 'velocity')
         placed = np.zeros(4, bool)
         for _ in range(5):
             observation = anything(draw, dimension)

@@ -266,3 +266,42 @@ def test_the_gradient_of_the_azimuth_is_that_of_finite_differences(dimension: in
         ahead, behind = (gaussian.azimuth_of(position + side * step, station)[0]
                          for side in (1, -1))
         np.testing.assert_allclose(gradient[:, axis], (ahead - behind) / 2e-4, atol=1e-7)
+
+
+# Doubting predictions
+
+
+@pytest.mark.parametrize(('dimension', 'anchors', 'std'), [
+    (2, 1, 1.0), (2, 6, 5.0), (3, 2, 1.0), (3, 4, 0.3), (3, 18, 3.0),
+])
+def test_a_right_prediction_surprises_alike_whatever_the_ranges(
+        dimension: int, anchors: int, std: float) -> None:
+    draw, vehicles = rng(5), 2000
+    reference = 1e5 * draw.standard_normal((vehicles, anchors, dimension))
+    covariance = spd(vehicles, dimension)
+    offset = np.einsum('vij,vj->vi', np.linalg.cholesky(covariance),
+                       draw.standard_normal((vehicles, dimension)))
+    distance = np.linalg.norm(offset[:, None] - reference, axis=2)
+    distance += std * draw.standard_normal(distance.shape)
+    found = gaussian.surprise(np.zeros_like(offset), covariance, reference, distance,
+                              np.full(distance.shape, std ** 2), np.ones(distance.shape, bool))
+    told = stats.chi2(min(anchors, dimension))
+    assert stats.kstest(2 * found, told.cdf).pvalue > 1e-3
+
+
+def test_one_wild_range_surprises_little_and_many_that_agree_do() -> None:
+    anchors, truth, distance = field(20, 8, 3, std=0.0)
+    wild = distance.copy()
+    wild[:, 3] += 300.0
+    arguments = np.ones(distance.shape), np.ones(distance.shape, bool)
+    spread = np.tile(np.eye(3), (20, 1, 1))
+    single = gaussian.surprise(truth, spread, anchors, wild, *arguments)
+    moved = gaussian.surprise(truth + 10.0, spread, anchors, distance, *arguments)
+    assert single.max() < 8.0 < moved.min()
+
+
+def test_no_range_surprises_nobody() -> None:
+    anchors, truth, distance = field(3, 4, 3)
+    np.testing.assert_array_equal(gaussian.surprise(
+        truth + 1e4, np.tile(np.eye(3), (3, 1, 1)), anchors, distance, np.ones((3, 4)),
+        np.zeros((3, 4), bool)), 0.0)

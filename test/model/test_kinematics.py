@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tsmcl_ros.model.kinematics import kinematics_of
+from tsmcl_ros.model.kinematics import Cruising, kinematics_of
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.types import Motion, Prior
 
@@ -92,3 +92,17 @@ def test_without_odometry_there_is_no_rotation(name: str) -> None:
     size = 2 + kinematics.extra
     for part in kinematics.rotation(np.zeros((3, size)), np.tile(np.eye(size), (3, 1, 1))):
         assert np.isnan(part).all()
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_turn_adds_what_a_new_velocity_since_some_time_does(dimension: int) -> None:
+    model = motion_model(MotionConfig(motion_model='velocity', max_speed=3.0), dimension, True)
+    kinematics = kinematics_of(model, dimension)
+    assert isinstance(kinematics, Cruising)
+    change = sample(*kinematics.begin())
+    for elapsed, added in zip((1.0, 6.0), kinematics.turn(np.array([1.0, 6.0])), strict=True):
+        since = np.random.default_rng(2).uniform(0, elapsed, (MANY, 1))
+        drawn = np.hstack([since * change, change])
+        scale = np.sqrt(np.diagonal(added))
+        np.testing.assert_allclose(
+            np.cov(drawn.T) / np.outer(scale, scale), added / np.outer(scale, scale), atol=0.03)

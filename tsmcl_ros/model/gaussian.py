@@ -20,6 +20,8 @@ _STEPS = 5
 # this many standard deviations off that plane, or all but that plane's neighbourhood is excluded.
 _SIDE = 4.0
 _NEAR = 0.05  # of the ranges
+# No range surprises by more standard deviations: some that agree are believed, one is not.
+_WILD = 4.0
 
 
 class Fix(NamedTuple):
@@ -199,6 +201,40 @@ def update_by_bound(mean: Array, covariance: Array, gradient: Array, excess: Arr
 def innovation_variance(covariance: Array, gradient: Array, variance: Array) -> Array:
     """Return H P H^T + R (V,)."""
     return np.asarray(np.einsum('vi,vij,vj->v', gradient, covariance, gradient) + variance)
+
+
+def surprise(position: Array, covariance: Array, reference: Array, distance: Array,
+             variance: Array, used: Array) -> Array:
+    """
+    Return by how much ranges contradict where vehicles were expected to be, from 0 on.
+
+    It is d^2 / 2 with the Mahalanobis distance d from the expected position to the one that the
+    ranges tell: minus the log of the expected one's likelihood, relative to its peak. Under a
+    right prediction 2 * surprise has a chi-square distribution of as many degrees of freedom as
+    directions are told, whatever the number of ranges and their noise.
+
+    Parameters
+    ----------
+    position, covariance : (V, D), (V, D, D) float
+        As predicted [m, m^2].
+    reference : (V, K, D) float
+        [m].
+    distance, variance : (V, K) float
+        Measured distances [m, m^2].
+    used : (V, K) bool
+        The rows that count.
+    """
+    delta = position[:, None] - reference
+    expected = np.linalg.norm(delta, axis=2)
+    sight = delta / np.maximum(expected, 1e-9)[:, :, None]
+    limit = _WILD * np.sqrt(variance + np.einsum('vki,vij,vkj->vk', sight, covariance, sight))
+    innovation = np.clip(distance - expected, -limit, limit)
+    weight = np.where(used, 1 / variance, 0)
+    told = np.einsum('vk,vki,vk->vi', weight, sight, np.where(used, innovation, 0))
+    information = np.einsum('vk,vki,vkj->vij', weight, sight, sight)
+    # Less than D ranges leave a direction untold: hence no inverse of the information.
+    spread = np.linalg.pinv(information + information @ covariance @ information, hermitian=True)
+    return np.asarray(np.maximum(np.einsum('vi,vij,vj->v', told, spread, told) / 2, 0))
 
 
 def range_to(position: Array, covariance: Array, reference: Array

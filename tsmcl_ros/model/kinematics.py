@@ -75,6 +75,17 @@ class Cruising:
             variance = prior.velocity_std ** 2
         return np.zeros(self.extra), variance * np.eye(self.extra)
 
+    def turn(self, elapsed: Array) -> Array:
+        """
+        Return the covariance (W, n, n) that a new velocity at some time of these (W,) [s] adds.
+
+        It is one as `begin` has it; the way since then is as uncertain as the time.
+        """
+        velocity = self.begin()[1]
+        parts = np.array([[elapsed ** 2 / 3, elapsed / 2], [elapsed / 2, np.ones(len(elapsed))]])
+        size = 2 * self.extra
+        return np.asarray(np.einsum('abw,ij->waibj', parts, velocity).reshape(-1, size, size))
+
     def predict(self, mean: Array, covariance: Array, motion: Motion) -> tuple[Array, Array]:
         """Return the belief after the motion: see `Kinematics`."""
         return gaussian.predict(

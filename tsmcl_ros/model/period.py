@@ -5,6 +5,11 @@ Gao, Wang, Shen (mobile underwater acoustic networks). A vehicle asks for a beac
 `period_factor` base periods. The paper's equation is lost; the form here has every property that
 it states: a larger q raises the factor at equal residual, alpha leaves its maximum and moves its
 steepest point, ln(alpha / q), to the right; it is flat at small residuals and needs alpha >> q.
+
+The paper's residual, a sum of metres, grows with the noise of the ranges and the number of
+anchors, so that q and alpha suit one network; normalized by what the filter expects it does not,
+and q 4, alpha 400 suit all: exp(residual) / alpha is then 1 / (alpha times the likelihood of the
+prediction).
 """
 
 from __future__ import annotations
@@ -26,13 +31,17 @@ class PeriodConfig(Config):
     beacon_period: str = param(
         'fixed', 'ask for a beacon every period_factor periods, or as often as the residual of '
         'the ranges demands', choices=('fixed', 'adaptive'))
+    period_residual: str = param(
+        'sum', 'the residual: sum of |measured - predicted| range [m], or minus the log of how '
+        'likely the predicted position is in view of the ranges, 0 at best (beacon_period '
+        'adaptive)', choices=('sum', 'normalized'))
     period_factor: int = param(
         1, 'periods between two beacons (beacon_period fixed)', low=1, high=MAX_PERIOD_FACTOR)
     period_q: float = param(
         15.0, 'periods between two beacons at no residual (beacon_period adaptive)', low=1.0,
         high=1e6)
     period_alpha: float = param(
-        1e6, 'how large a residual may be before beacons come more often: exp(residual [m]) of '
+        1e6, 'how large a residual may be before beacons come more often: exp(residual) of '
         'where the factor is 1 (beacon_period adaptive)', above=0.0, high=1e300)
 
     def check(self) -> None:
@@ -49,7 +58,7 @@ class PeriodConfig(Config):
         return self.beacon_period == 'adaptive' or self.period_factor > 1
 
     def factor(self, residual: Array) -> Array:
-        """Return the factor (V,) int that vehicles with these residuals [m] ask for."""
+        """Return the factor (V,) int that vehicles with these residuals (V,) ask for."""
         if self.beacon_period == 'fixed':
             return np.full(len(residual), self.period_factor)
         return np.asarray(np.maximum(
@@ -63,8 +72,7 @@ def omega(residual: Array, q: float = 15.0, alpha: float = 1e6) -> Array:
     Parameters
     ----------
     residual : float array
-        Sum of |measured - predicted| range over the references [m]; NaN, that is not known,
-        counts as infinite.
+        See `period_residual`; NaN, that is not known, counts as infinite.
     q, alpha : float
         Largest factor; the residual's scale.
     """

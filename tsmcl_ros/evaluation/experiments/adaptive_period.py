@@ -18,6 +18,7 @@ from tsmcl_ros.evaluation.experiments.adaptive_claims import (
     CLAIMS,
     Found,
     mean,
+    PAPER,
     score,
     Setting,
     settings,
@@ -43,10 +44,18 @@ from tsmcl_ros.types import Array, Estimate, Motion, Observation
 
 VOLUME = (400.0, 400.0, 200.0)  # m; the paper does not tell its own
 SPEED = 0.5, 2.0  # m/s, neither
+# m/s^1.5; where the fixed periods err least, of 0.005 to 0.2.
+ACCELERATION_STD = 0.01
+# The paper's two fixed periods, this package's adaptive one, that of the paper's parameters, and
+# as a yardstick of what adapting brings a fixed period that costs about as much as ours.
 SCHEMES: dict[str, dict[str, Any]] = {
     'omega 1': {'period_factor': 1},
     'omega 5': {'period_factor': 5},
-    'adaptive': {'beacon_period': 'adaptive'},
+    'adaptive': {'beacon_period': 'adaptive', 'period_residual': 'normalized', 'period_q': 4.0,
+                 'period_alpha': 400.0},
+    'adaptive, paper': {'beacon_period': 'adaptive', 'period_residual': 'sum', 'period_q': 15.0,
+                        'period_alpha': 1e6},
+    'omega 4': {'period_factor': 4},
 }
 _SETTLING = 5  # periods until all are placed and have a velocity
 
@@ -164,12 +173,16 @@ class AdaptivePeriod:
             late[scheme] = errors.reshape(-1, int(part['vehicle'].max()) + 1)
             rows.append([scheme, str(bootstrap_interval(np.mean, late[scheme])), *map(
                 significant, np.quantile(errors, [0.5, 0.95, 1.0]).tolist())])
-        ratio = ratio_interval(np.mean, late['adaptive'], late['omega 1'])
-        return Report(rows, 1, [Finding(
-            'the track of the adaptive period is as close as that of omega 1',
-            f'{ratio} times its error at every period', '',
-            'reproduced' if ratio.low <= 1.1 else 'not reproduced: between two beacons, which may '
-            'be 15 s apart, a turn goes unseen')])
+        findings = []
+        for scheme, called in (('adaptive', 'the adaptive period'),
+                               (PAPER, "the paper's adaptive period")):
+            ratio = ratio_interval(np.mean, late[scheme], late['omega 1'])
+            findings.append(Finding(
+                f'the track of {called} is as close as that of omega 1',
+                f'{ratio} times its error at every period', '',
+                'reproduced' if ratio.low <= 1.1 else
+                'not reproduced: a turn between two beacons goes unseen until the next'))
+        return Report(rows, 1, findings)
 
     def _row(self, setting: Setting, scheme: str, found: Found) -> list[str]:
         part = found[*setting, scheme]
@@ -204,11 +217,12 @@ class Networks:
         self.position = self._mobility.state.position
         self.schedule = Schedule(count)
         self._ekf = Ekf(
-            Ekf.Config(**SCHEMES[case['scheme']]),
+            Ekf.Config(notice_turns=True, **SCHEMES[case['scheme']]),
             Channel(RadioConfig(range_std=self._std), EvidenceConfig(
                 outlier_fraction=0.0, range_calibration='off')),
             motion_model(MotionConfig(
-                motion_model='velocity', acceleration_std=0.1, max_speed=SPEED[1]), 3, False),
+                motion_model='velocity', acceleration_std=ACCELERATION_STD,
+                max_speed=SPEED[1]), 3, False),
             count, 3, filter_rng)
         self._stamp = 0.0
 
