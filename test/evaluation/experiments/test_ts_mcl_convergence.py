@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import dblquad
 from tsmcl_ros.config import load_yaml
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
+from tsmcl_ros.evaluation.experiments.anchor_field import EVIDENCE
 from tsmcl_ros.evaluation.experiments.ts_mcl_convergence import (
-    EVIDENCE,
     lens_radius,
     TsMclConvergence,
     uniform_in_lens,

@@ -3,6 +3,7 @@
 from typing import Any
 
 from tsmcl_ros.evaluation.experiments.adaptive_period import ADAPTIVE
+from tsmcl_ros.evaluation.experiments.beyond import Beyond
 from tsmcl_ros.evaluation.experiments.cooperation import CoopSamples, CoopTime
 from tsmcl_ros.evaluation.experiments.grey import Grey
 from tsmcl_ros.evaluation.experiments.period_factor import PeriodFactor
@@ -50,4 +51,8 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
            'r_mcl_node_density': RMclNodeDensity,
            'r_mcl_rssi_error': RMclRssiError,
        }.items()},
+    'beyond': (
+        Beyond(),
+        Beyond(runs=1, vehicles=6, epochs=8, particles=(10, 20), most=100, grid_cell=100.0,
+               yardstick_vehicles=2)),
 }

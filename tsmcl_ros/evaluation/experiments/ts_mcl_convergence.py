@@ -10,15 +10,19 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
-from tsmcl_ros.evaluation.experiments.common import (
-    as_rows,
-    by_case,
-    follow,
-    goal,
-    Parked,
-    rmse,
-    side_by_side,
+from tsmcl_ros.evaluation.experiments.anchor_field import (
+    Curve,
+    curves_of,
+    EVIDENCE,
+    exact_grid,
+    field,
+    has_odometry,
+    particle_method,
+    RADIO,
+    RANGE,
+    SHOWN,
 )
+from tsmcl_ros.evaluation.experiments.common import as_rows, follow, goal, Parked, rmse
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
@@ -33,28 +37,9 @@ from tsmcl_ros.evaluation.monte_carlo import (
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.types import Array
-from tsmcl_ros.world import anchor_table, make_world, World, WorldConfig
+from tsmcl_ros.world import anchor_table, World, WorldConfig
 
-RANGE = 1000.0  # m, of all radios of the TS-MCL paper
-SPEED = 50.0  # m/s, at most
 CLAIMED = 5.0  # m, its error from epoch 100 on
-
-RADIO: dict[str, Any] = {'radio_model': 'disk', 'radio_range': RANGE}
-SCORING = {**RADIO, 'edge_softness': 1.0}
-# What a vehicle knows of its own movement and of the anchors that it does not hear. The last one
-# is config/range_free.yaml without its method.
-EVIDENCE: dict[str, dict[str, Any]] = {
-    'heard': {**SCORING, 'motion_model': 'random', 'max_speed': SPEED, 'silence': 'none'},
-    'silence': {**SCORING, 'motion_model': 'random', 'max_speed': SPEED, 'silence': 'map'},
-    'odometry': {
-        **SCORING, 'motion_model': 'odometry', 'odom_heading': 'known', 'odom_std': 0.5,
-        'alpha3': 0.0, 'alpha4': 0.0, 'silence': 'map', 'aspiration': 0.9,
-        'prior_bandwidth': 0.3},
-}
-SHOWN = {
-    'heard': 'heard only', 'silence': '+ silence', 'odometry': '+ odometry',
-    'ts_mcl': 'TS-MCL', 'bootstrap': 'bootstrap', 'exact': 'exact grid',
-}
 
 
 @dataclass(frozen=True)
@@ -128,13 +113,13 @@ class TsMclConvergence:
         track = follow(
             world, Localizer(settings, vehicles),
             self.lens_epochs if case['anchors_apart_m'] else self.epochs,
-            odometry=case['evidence'] == 'odometry')
+            odometry=has_odometry(case['evidence']))
         return Outcome(as_rows('epoch', 'vehicle', error_m=track.error, nees=track.nees),
                        track.seconds)
 
     def judge(self, results: Sequence[Result]) -> Report:
         """Return a table of all curves, and the paper's claim and ours beside them."""
-        curves = _curves(results)
+        curves = curves_of(results)
         epochs = f'{self.epochs // 2}-{self.epochs}'
         headings = ['vehicles know', 'filter', 'particles', 'vehicles', f'median {epochs} [m]',
                     f'median at {self.epochs} [m]', f'RMSE {epochs} [m]', 'NEES', 'in 95 %',
@@ -147,7 +132,7 @@ class TsMclConvergence:
         """Draw median and RMSE over the vehicles against the epoch."""
         from tsmcl_ros.evaluation import plots
 
-        curves = [curve for curve in _curves(results) if not curve.apart]
+        curves = [curve for curve in curves_of(results) if not curve.apart]
         figure, (left, right) = plots.panels(2, 12.0, 5.6)
         plots.error_against_epoch(
             left, {curve.label: np.nanmedian(curve.error, axis=1) for curve in curves},
@@ -161,28 +146,21 @@ class TsMclConvergence:
     def _world(self, case: Case, rng: np.random.Generator) -> World:
         apart = case['anchors_apart_m']
         if not apart:
-            # Legs begin when the run does. In the model's steady state most vehicles are slow,
-            # cross few edges of radio disks in the time, and all medians are a metre higher.
-            return make_world({**RADIO, 'vehicles': self.vehicles, 'odom_noise': 0.5,
-                               'max_speed': SPEED, 'start_distribution': 'uniform'}, rng)
+            return field(self.vehicles, rng)
         anchors = np.array([[-apart / 2, 0.0], [apart / 2, 0.0]])
         parked = Parked(uniform_in_lens(self.lens_vehicles, apart, RANGE, rng))
         return World(WorldConfig(), Channel(RadioConfig(**RADIO)), parked, anchor_table(anchors),
                      rng)
 
     def _method(self, case: Case) -> dict[str, Any]:
-        if case['filter'] == 'ts_mcl':
-            return {'method': 'ts_mcl', 'min_particles': self.particles,
-                    'max_particles': self.first_particles}
-        if case['filter'] == 'bootstrap':
-            return {'method': 'ts_mcl', 'max_iterations': 0, 'min_particles': case['particles'],
-                    'max_particles': dict(self.bootstrap)[case['particles']]}
+        if case['filter'] != 'exact':
+            first = {self.particles: self.first_particles, **dict(self.bootstrap)}
+            return particle_method(case['filter'], case['particles'], first[case['particles']])
         apart = case['anchors_apart_m']
+        if not apart:
+            return exact_grid(self.grid_cell, self.grid_margin)
         x, y = RANGE - apart / 2, math.sqrt(RANGE ** 2 - apart ** 2 / 4)
-        low, high = ((-x, -y), (x, y)) if apart else ((0.0, 0.0), (4000.0, 4000.0))
-        return {'method': 'grid', 'grid_cell': self.grid_cell,
-                'grid_x_min': low[0] - self.grid_margin, 'grid_x_max': high[0] + self.grid_margin,
-                'grid_y_min': low[1] - self.grid_margin, 'grid_y_max': high[1] + self.grid_margin}
+        return exact_grid(self.grid_cell, self.grid_margin, (-x, -y), (x, y))
 
     def _row(self, curve: Curve) -> list[str]:
         late = curve.late
@@ -254,46 +232,6 @@ def uniform_in_lens(count: int, apart: float, reach: float, rng: np.random.Gener
         inside = np.hypot(np.abs(drawn[:, 0]) + apart / 2, drawn[:, 1]) < reach
         points = np.concatenate([points, drawn[inside]])
     return points[:count]
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """All runs of a case: errors [m] and NEES (T, U) of all their vehicles, ms per update."""
-
-    evidence: str
-    filter: str
-    particles: int
-    apart: float
-    error: Array
-    nees: Array
-    update_ms: float
-
-    @property
-    def label(self) -> str:
-        """What legends call it."""
-        count = f' {self.particles}' if self.particles else ''
-        return f'{SHOWN[self.evidence]}, {SHOWN[self.filter]}{count}'
-
-    @property
-    def late(self) -> Array:
-        """Errors [m] of the second half of the epochs."""
-        return self.error[len(self.error) // 2 - 1:]
-
-    @property
-    def late_nees(self) -> Array:
-        """NEES of the second half of the epochs."""
-        return self.nees[len(self.nees) // 2 - 1:]
-
-
-def _curves(results: Sequence[Result]) -> list[Curve]:
-    """Lay the runs of each case side by side."""
-    curves = []
-    for (evidence, method, particles, apart), outcomes in by_case(results).items():
-        error, nees = (side_by_side(outcomes, 'epoch', name) for name in ('error_m', 'nees'))
-        seconds = sum(outcome.seconds for outcome in outcomes)
-        curves.append(Curve(
-            evidence, method, particles, apart, error, nees, 1000 * seconds / error.size))
-    return curves
 
 
 def _find(curves: Sequence[Curve], evidence: str, method: str, apart: float = 0.0) -> Curve:
