@@ -1,4 +1,4 @@
-"""R-MCL: where it samples, how evenly its particles weigh, and that they are the posterior."""
+"""R-MCL: where it samples, how near its few particles come, and that they are the posterior."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tsmcl_ros.methods.grid import Grid, GridConfig
 from tsmcl_ros.methods.mcb import Mcb, McbConfig
-from tsmcl_ros.methods.r_mcl import control_level, RMcl, RMclConfig
+from tsmcl_ros.methods.r_mcl import RMcl, RMclConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Motion, Observation, Prior
@@ -72,16 +72,69 @@ def test_the_posterior_is_that_of_the_exact_filter(motion: dict[str, Any]) -> No
                                atol=0.5)
 
 
-def test_more_particles_count_than_where_measurements_only_weigh() -> None:
-    ess = {}
-    for kind, config, settings in ((Mcb, McbConfig, {}), (RMcl, RMclConfig, {'acceptance': 0.2})):
-        filter_ = make(kind, config, {**RANDOM, 'max_speed': 80.0}, 40, **settings)
-        for vehicle in range(40):
-            filter_.start(Prior(vehicle, np.zeros(2), 100.0 * np.eye(2)))
-        filter_.predict(Motion(1.0, np.zeros((40, 2)), np.zeros(40)))
-        ess[kind] = filter_.update(listen(ANCHORS, (20.0, 0.0), vehicles=40)).ess.mean()
-    assert ess[Mcb] < 35
-    assert ess[RMcl] > 40
+def follow(kind: Any, config: Any, particles: int) -> np.ndarray:
+    """Return the means [m] that vehicles have after five epochs, 10 000 particles altogether."""
+    vehicles, draw = 10_000 // particles, np.random.default_rng(2)
+    filter_ = make(kind, config, {**RANDOM, 'max_speed': 80.0}, vehicles,
+                   min_particles=particles, max_particles=particles)
+    for vehicle in range(vehicles):
+        filter_.start(Prior(vehicle, np.zeros(2), 900.0 * np.eye(2)))
+    for _ in range(5):
+        filter_.predict(Motion(1.0, np.zeros((vehicles, 2)), np.zeros(vehicles)))
+        noise = draw.normal(0, 4.0, len(ANCHORS))
+        estimate = filter_.update(listen(ANCHORS, (20.0, 0.0), noise, vehicles))
+    return np.asarray(estimate.mean)
+
+
+def test_candidates_that_count_by_weight_say_more_than_survivors_of_rejection() -> None:
+    errors = {}
+    for kind, config in ((RMcl, RMclConfig), (Mcb, McbConfig)):
+        off = follow(kind, config, 50) - follow(RMcl, RMclConfig, 10_000)
+        errors[kind] = np.sqrt(np.square(off).sum(axis=1).mean())
+    # Twice as near takes four times as many particles.
+    assert errors[RMcl] < 0.5 * errors[Mcb]
+
+
+def test_so_many_candidates_are_drawn_as_are_wanted() -> None:
+    filter_ = make(RMcl, RMclConfig, RANDOM, 2, candidates=5)
+    for vehicle in range(2):
+        filter_.start(Prior(vehicle, np.zeros(2), 100.0 * np.eye(2)))
+    filter_.predict(Motion(1.0, np.zeros((2, 2)), np.zeros(2)))
+    filter_.update(listen(ANCHORS, (0.0, 0.0), vehicles=2))
+    np.testing.assert_array_equal(filter_.draws, [250, 250])
+
+
+def tail_spread(particles: int, widenings: int) -> float:
+    """Return how far a belief spreads [m] that hears to be in the tail of what it was."""
+    vehicles = 10_000 // particles
+    filter_ = make(RMcl, RMclConfig, {**RANDOM, 'max_speed': 5.0}, vehicles,
+                   min_particles=particles, max_particles=particles, max_widenings=widenings)
+    for vehicle in range(vehicles):
+        filter_.start(Prior(vehicle, np.zeros(2), 3600.0 * np.eye(2)))
+    filter_.predict(Motion(1.0, np.zeros((vehicles, 2)), np.zeros(vehicles)))
+    estimate = filter_.update(listen(np.array([[190.0, 0.0]]), (100.0, 0.0), vehicles=vehicles))
+    spreads = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
+    return float(np.median(spreads[~estimate.reinitialized]))
+
+
+def test_a_few_particles_that_lead_to_what_is_heard_stand_for_what_is_between_them() -> None:
+    exact = tail_spread(10_000, 0)
+    assert tail_spread(50, 0) < 0.6 * exact
+    assert 0.7 * exact < tail_spread(50, 3) < exact
+
+
+def test_where_many_particles_lead_to_what_is_heard_motion_is_as_it_is() -> None:
+    assert tail_spread(10_000, 3) == tail_spread(10_000, 0)
+
+
+def test_a_prediction_without_anything_likely_is_replaced_and_told() -> None:
+    filter_ = make(RMcl, RMclConfig, RANDOM, 2)
+    for vehicle, x in enumerate((500.0, 50.0)):
+        filter_.start(Prior(vehicle, np.array([x, 0.0]), np.eye(2)))
+    filter_.predict(Motion(1.0, np.zeros((2, 2)), np.zeros(2)))
+    estimate = filter_.update(listen(ANCHORS[:1], (50.0, 0.0), vehicles=2))
+    np.testing.assert_array_equal(estimate.reinitialized, [True, False])
+    assert np.linalg.norm(estimate.mean - [60.0, 0.0], axis=1).max() < 60.0
 
 
 def test_the_next_nearest_references_replace_those_whose_region_the_motion_cannot_meet() -> None:
@@ -108,21 +161,3 @@ def test_boxes_follow_the_estimates_where_motion_is_extrapolated() -> None:
         middles[extrapolate] = filter_.particles[0].mean(axis=0)
     np.testing.assert_allclose(middles[False], [10.0, 0.0], atol=0.1)
     np.testing.assert_allclose(middles[True], [20.0, 0.0], atol=0.1)
-
-
-@pytest.mark.parametrize('share', [0.1, 0.5, 0.9])
-def test_the_level_of_rejection_lets_the_wanted_share_survive_but_no_level_higher(
-        share: float) -> None:
-    trials = np.random.default_rng(3).normal(-5.0, 2.0, (4, 60)).astype(np.float32)
-    level = control_level(trials, share)
-    for row, found in zip(trials.astype(np.float64), level, strict=True):
-        def survive(c: float, row: np.ndarray = row) -> float:
-            return float(np.minimum(np.exp(row - c), 1).mean())
-
-        assert survive(found) >= share
-        higher = row[row > found + 1e-6]
-        assert not len(higher) or survive(higher.min()) < share
-
-
-def test_without_any_likely_trial_nobody_is_rejected() -> None:
-    assert np.isneginf(control_level(np.full((2, 5), -np.inf, np.float32), 0.5)).all()

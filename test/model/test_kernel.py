@@ -39,7 +39,8 @@ def test_draws_in_a_box_are_what_the_motion_model_puts_there(settings: dict[str,
     kernel = model.kernel(parents, motion, draw)
     owner = np.zeros(8000, int)
     drawn, valid = kernel.draw(
-        owner, choose(kernel.mass(LOW, HIGH), owner, draw), LOW, HIGH, draw)
+        owner, choose(kernel.mass(LOW, HIGH), owner, draw), LOW, HIGH,
+        draw.random((8000, 2)), draw)
     drawn = drawn[valid]
     assert ((drawn[:, :2] >= LOW) & (drawn[:, :2] <= HIGH)).all()
     for axis in range(drawn.shape[1]):
@@ -64,7 +65,8 @@ def test_a_gaussian_s_mass_is_that_of_scipy_however_far_off_the_box_is(off: floa
 def test_draws_far_in_a_tail_are_finite_and_within_the_box() -> None:
     kernel = GaussianKernel(np.array([[[35.0, -35.0]]]), np.array([1.0]), np.zeros((1, 1, 0)))
     low, high = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
-    states, valid = kernel.draw(np.zeros(100, int), np.zeros(100, int), low, high, rng())
+    states, valid = kernel.draw(np.zeros(100, int), np.zeros(100, int), low, high,
+                                rng().random((100, 2)), rng())
     assert valid.all()
     assert (np.abs(states) <= 1).all()
 
@@ -75,7 +77,8 @@ def test_a_ball_fills_its_own_box_as_geometry_says(dimension: int) -> None:
     everywhere = np.full((1, dimension), np.inf)
     assert kernel.mass(-everywhere, everywhere)[0, 0] == pytest.approx(4.0 ** dimension)
     zero = np.zeros(MANY, int)
-    _, valid = kernel.draw(zero, zero, -everywhere, everywhere, rng())
+    _, valid = kernel.draw(zero, zero, -everywhere, everywhere,
+                           rng().random((MANY, dimension)), rng())
     share = math.pi / 4 if dimension == 2 else math.pi / 6
     assert stats.binomtest(int(valid.sum()), MANY, share).pvalue > SIGNIFICANCE
 
@@ -95,3 +98,21 @@ def test_particles_are_chosen_as_often_as_their_weights_say() -> None:
         assert counts[~used].sum() == 0
         expected = 5000 * row[used] / row.sum()
         assert stats.chisquare(counts[used], expected).pvalue > SIGNIFICANCE
+
+
+def test_wider_kernels_are_those_of_a_motion_as_much_wider() -> None:
+    centre = np.array([[[1.0, 0.5]]])
+    gaussian = GaussianKernel(centre, np.array([3.0]), np.zeros((1, 1, 0)))
+    tripled = GaussianKernel(centre, np.array([1.0]), np.zeros((1, 1, 0))).widened(3.0)
+    for wide, wanted in ((tripled, gaussian),
+                         (BallKernel(centre, 2.0).widened(1.5), BallKernel(centre, 3.0))):
+        assert wide.mass(LOW, HIGH)[0, 0] == pytest.approx(wanted.mass(LOW, HIGH)[0, 0])
+
+
+def test_what_wider_gaussians_remember_varies_as_before() -> None:
+    zero, far = np.zeros(MANY, int), np.full((1, 2), 1e3)
+    kernel = GaussianKernel(np.zeros((1, 1, 2)), np.array([2.0]), np.zeros((1, 1, 2)),
+                            coupling=0.5, remembered_std=1.0)
+    states, _ = kernel.widened(4.0).draw(zero, zero, -far, far, rng().random((MANY, 2)), rng(2))
+    # Along each axis 8 m and sqrt(2) m/s; the standard error of the latter is 0.007 m/s.
+    np.testing.assert_allclose(states.std(axis=0), [8, 8, *[math.sqrt(2)] * 2], rtol=0.02)

@@ -8,7 +8,7 @@ the motion model that survive in the boxes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -24,14 +24,18 @@ class Kernel(Protocol):
     def mass(self, low: Array, high: Array) -> Array:
         """Return (V, N) float64: the mass within the vehicles' boxes, corners (V, D) [m]."""
 
-    def draw(self, owner: Array, index: Array, low: Array, high: Array,
+    def draw(self, owner: Array, index: Array, low: Array, high: Array, share: Array,
              rng: np.random.Generator) -> tuple[Array, Array]:
         """
         Return states (M, D + extra) float32 of these vehicles and particles (M,) int each.
 
-        Each is drawn in its vehicle's box, where its mass is positive; the second value (M,) bool
-        is False for those that missed the kernel.
+        Each is drawn in its vehicle's box, where its mass is positive, at the quantiles that the
+        shares (M, D), uniform in [0, 1), say; the second value (M,) bool is False for those that
+        missed the kernel.
         """
+
+    def widened(self, factor: float) -> Kernel:
+        """Return kernels that are so many times as wide along each axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +60,19 @@ class BallKernel:
                  - np.maximum(self.centre - self.radius, low[:, None]))
         return np.asarray(np.maximum(sides, 0).prod(axis=2))
 
-    def draw(self, owner: Array, index: Array, low: Array, high: Array,
+    def draw(self, owner: Array, index: Array, low: Array, high: Array, share: Array,
              rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw in boxes: see `Kernel`."""
         centre = self.centre[owner, index]
         lower = np.maximum(centre - self.radius, low[owner])
         upper = np.minimum(centre + self.radius, high[owner])
-        drawn = lower + (upper - lower) * rng.random(centre.shape)
+        drawn = lower + (upper - lower) * share
         valid = np.square(drawn - centre).sum(axis=1) <= self.radius ** 2
         return drawn.astype(np.float32), valid
+
+    def widened(self, factor: float) -> BallKernel:
+        """Return larger balls: see `Kernel`."""
+        return replace(self, radius=factor * self.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +105,7 @@ class GaussianKernel:
                                         (high[:, None] - self.centre) / std)
         return np.asarray(np.maximum(ndtr(upper) - ndtr(lower), 0).prod(axis=2))
 
-    def draw(self, owner: Array, index: Array, low: Array, high: Array,
+    def draw(self, owner: Array, index: Array, low: Array, high: Array, share: Array,
              rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw in boxes: see `Kernel`."""
         centre, std = self.centre[owner, index], np.maximum(self.std, _LEAST)[owner, None]
@@ -105,14 +113,18 @@ class GaussianKernel:
                                            (high[owner] - centre) / std)
         begin, end = ndtr(lower), ndtr(upper)
         # A draw of exactly 0 or 1 would be infinitely far away.
-        share = np.clip(begin + (end - begin) * rng.random(centre.shape), 1e-300, 1 - 1e-16)
-        off = side * std * ndtri(share)
+        quantile = np.clip(begin + (end - begin) * share, 1e-300, 1 - 1e-16)
+        off = side * std * ndtri(quantile)
         extra = self.remembered[owner, index]
         if self.coupling or self.remembered_std:
             extra = (extra + self.coupling * off
                      + self.remembered_std * rng.standard_normal(extra.shape))
         states = np.concatenate([centre + off, extra], axis=1).astype(np.float32)
         return states, np.ones(len(owner), bool)
+
+    def widened(self, factor: float) -> GaussianKernel:
+        """Return wider Gaussians, which remember as much as before: see `Kernel`."""
+        return replace(self, std=factor * self.std, coupling=self.coupling / factor)
 
 
 def choose(weights: Array, owner: Array, rng: np.random.Generator) -> Array:

@@ -14,12 +14,8 @@ from typing import Protocol
 import numpy as np
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.kernel import BallKernel, GaussianKernel, Kernel
+from tsmcl_ros.model.sampling import even_shares
 from tsmcl_ros.types import Array, Motion
-
-# The steps of the additive recurrence that leaves the smallest gaps in 2 and 3 dimensions: powers
-# of 1/g, g^(D+1) = g + 1, the golden ratio's kin (Roberts 2018).
-_RECURRENCE = {2: (0.7548776662466927, 0.5698402909980532),
-               3: (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)}
 
 
 @dataclass(frozen=True)
@@ -266,15 +262,11 @@ def even_ball(shape: tuple[int, int, int], radius: float, rng: np.random.Generat
     """
     Return float32 points (V, N, D), each uniform in the ball of this radius [m], evenly spread.
 
-    The N points of a vehicle are an additive recurrence with a random shift (Cranley and
-    Patterson 1976), so that the cloud's mean hardly moves by chance. Their order is random, lest
-    a particle's next displacement follow from its last.
+    So the cloud's mean hardly moves by chance. The order of a vehicle's points is random, lest a
+    particle's next displacement follow from its last.
     """
     vehicles, count, dimension = shape
-    step = np.asarray(_RECURRENCE[dimension])
-    even = ((rng.permutation(count)[:, None] * step) % 1).astype(np.float32)
-    even = even + rng.random((vehicles, 1, dimension), np.float32)
-    even -= even >= 1
+    even = even_shares(rng.permutation(count), vehicles, dimension, rng)
     distance = np.float32(radius) * (
         np.sqrt(even[:, :, 0]) if dimension == 2 else np.cbrt(even[:, :, 0]))
     azimuth = np.float32(2 * math.pi) * even[:, :, 1]

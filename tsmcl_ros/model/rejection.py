@@ -2,9 +2,7 @@
 Rejection and redraw: what the filters of the MCL family share, whatever they redraw from.
 
 A particle survives with the probability that its presence evidence gives it. Measurements weigh
-the survivors; a filter with a threshold rejects by them too, which keeps the weights even
-(rejection control, Liu, Chen and Wong 1998): below the threshold, as an average, survival is as
-much rarer as the weight is raised.
+the survivors.
 """
 
 from __future__ import annotations
@@ -34,59 +32,65 @@ class RejectionConfig(CloudConfig):
         low=0, high=10_000)
 
 
-class RejectionFilter(ParticleFilter):
+class RedrawingFilter(ParticleFilter):
     """
-    A filter of V vehicles that predicts, rejects and redraws, weighs what is measured, resamples.
+    A filter of V vehicles that can draw from its last prediction again.
 
     Attributes
     ----------
     draws : (V,) int
         Positions that the last update has drawn of each vehicle, the prediction included.
+    predicted : (V,) bool
+        Whose particles are a prediction, from parents that are known.
     """
+
+    def __init__(self, config: CloudConfig, channel: Channel, motion: MotionModel,
+                 vehicles: int, dimension: int, rng: np.random.Generator):
+        super().__init__(config, channel, motion, vehicles, dimension, rng)
+        self.draws = np.zeros(vehicles, np.int64)
+        self.predicted = np.zeros(vehicles, bool)
+        self._motion = Motion(0.0)
+        self._parents = self.cloud.states
+
+    def start(self, prior: Prior) -> None:
+        """Replace one vehicle's belief by a prior, which redraws cannot be made from."""
+        super().start(prior)
+        self.predicted[prior.vehicle] = False
+
+    def predict(self, motion: Motion) -> None:
+        """Move the particles, keeping their parents for the redraws."""
+        self._motion, self._parents = motion, self.cloud.states
+        self.predicted[:] = True
+        super().predict(motion)
+
+    def kernel(self) -> Kernel:
+        """Return where the last motion may have led."""
+        return self.cloud.motion.kernel(self._parents, self._motion, self.rng)
+
+
+class RejectionFilter(RedrawingFilter):
+    """A filter that predicts, rejects and redraws, weighs what is measured, and resamples."""
 
     def __init__(self, config: RejectionConfig, channel: Channel, motion: MotionModel,
                  vehicles: int, dimension: int, rng: np.random.Generator):
         super().__init__(config, channel, motion, vehicles, dimension, rng)
         self.config = config
-        self.draws = np.zeros(vehicles, np.int64)
-        self._motion = Motion(0.0)
-        self._parents = self.cloud.states
-        self._predicted = np.zeros(vehicles, bool)
-
-    def start(self, prior: Prior) -> None:
-        """Replace one vehicle's belief by a prior, which redraws cannot be made from."""
-        super().start(prior)
-        self._predicted[prior.vehicle] = False
-
-    def predict(self, motion: Motion) -> None:
-        """Move the particles, keeping their parents for the redraws."""
-        self._motion, self._parents = motion, self.cloud.states
-        self._predicted[:] = True
-        super().predict(motion)
 
     def update(self, observation: Observation) -> Estimate:
         """Keep and redraw particles until enough survive what was heard."""
         evidence = self.channel.evidence(observation)
         old = self.cloud.placed & evidence.heard
         self.cloud.place(evidence)
-        threshold = self.threshold(evidence)
-        starved = self.filter(evidence, old, threshold)
+        starved = self.filter(evidence, old)
         if starved.any():
             self.cloud.place_again(starved, evidence)
         measured = evidence.measured
         log_likelihood = self.cloud.recover(
             measured, measured.log_likelihood(self.cloud.particles))
-        if threshold is not None:
-            # The rest of their likelihood has already decided on who survived.
-            log_likelihood = np.maximum(log_likelihood, threshold[:, None])
         self.cloud.weigh(log_likelihood)
         estimate = self.cloud.estimate(observation)
         self.cloud.resample()
         return estimate
-
-    def threshold(self, evidence: Evidence) -> Array | None:
-        """Return the log-likelihood (V,) below which measurements reject, None for never."""
-        return None
 
     def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
         """
@@ -101,7 +105,7 @@ class RejectionFilter(ParticleFilter):
         """
         raise NotImplementedError
 
-    def filter(self, evidence: Evidence, which: Array, threshold: Array | None = None) -> Array:
+    def filter(self, evidence: Evidence, which: Array) -> Array:
         """
         Reject particles and redraw them from their vehicle's prediction.
 
@@ -113,8 +117,6 @@ class RejectionFilter(ParticleFilter):
             What was heard.
         which : (V,) bool
             The vehicles to filter.
-        threshold : (V,) float, optional
-            See `threshold`.
 
         Returns
         -------
@@ -122,22 +124,24 @@ class RejectionFilter(ParticleFilter):
             The vehicles of which no particle survived; theirs are left as predicted.
         """
         states, weights, dimension = self.cloud.states, self.cloud.weights, self.cloud.dimension
-        trial = Trial(evidence.presence, evidence.measured, threshold, self.rng)
+        presence = evidence.presence
         self.draws = np.where(which, weights.shape[1], 0)
-        rejected = which[:, None] & ~trial.passed(self.cloud.particles)
+        rejected = which[:, None] & ~self._passed(
+            presence.log_likelihood(self.cloud.particles))
         redraw: Redraw | None = None
         for _ in range(self.config.max_redraws):
-            owner, index = np.nonzero(rejected & self._predicted[:, None])
+            owner, index = np.nonzero(rejected & self.predicted[:, None])
             if not len(owner):
                 break
             redraw = redraw or self.redraws(evidence, _mean(weights, ~rejected))
             drawn, weight, valid = redraw(owner)
             self.draws += np.bincount(owner, minlength=len(which))
-            valid[valid] = trial.passed_by(drawn[valid, :dimension], owner[valid])
+            valid[valid] = self._passed(
+                presence.log_likelihood_of(drawn[valid, :dimension], owner[valid]))
             owner, index = owner[valid], index[valid]
             states[owner, index], weights[owner, index] = drawn[valid], weight[valid]
             rejected[owner, index] = False
-        self._predicted[:] = False
+        self.predicted[:] = False
         starved = rejected.all(axis=1)
         rejected[starved] = False
         self._copy_survivors(rejected)
@@ -165,9 +169,9 @@ class RejectionFilter(ParticleFilter):
             position[owner, index] += jitter * self.rng.standard_normal(
                 (len(owner), position.shape[2]), np.float32)
 
-    def kernel(self) -> Kernel:
-        """Return where the last motion may have led."""
-        return self.cloud.motion.kernel(self._parents, self._motion, self.rng)
+    def _passed(self, log_likelihood: Array) -> Array:
+        """Let positions survive at random, as likely as they are; return which do."""
+        return np.log(1 - self.rng.random(log_likelihood.shape, np.float32)) < log_likelihood
 
     def redraw_in_boxes(self, low: Array, high: Array, weights: Array) -> Redraw:
         """
@@ -192,49 +196,11 @@ class RejectionFilter(ParticleFilter):
             states = np.zeros((len(owner), columns), np.float32)
             among = owner[valid]
             states[valid], valid[valid] = kernel.draw(
-                among, choose(mass, among, self.rng), low, high, self.rng)
+                among, choose(mass, among, self.rng), low, high,
+                self.rng.random((len(among), self.cloud.dimension)), self.rng)
             return states, weights[owner], valid
 
         return redraw
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """
-    Lets positions survive at random, each with its own probability.
-
-    Attributes
-    ----------
-    presence, measured : Evidence
-        What was heard, apart.
-    threshold : (V,) float or None
-        Log-likelihood of the measurements below which they reject.
-    rng : numpy.random.Generator
-    """
-
-    presence: Evidence
-    measured: Evidence
-    threshold: Array | None
-    rng: np.random.Generator
-
-    def passed(self, points: Array) -> Array:
-        """Return which of the points (V, P, D) [m] survive, (V, P) bool."""
-        chance = self.presence.log_likelihood(points)
-        if self.threshold is not None:
-            chance += np.minimum(
-                self.measured.log_likelihood(points) - self.threshold[:, None], 0)
-        return self._drawn(chance)
-
-    def passed_by(self, points: Array, vehicle: Array) -> Array:
-        """Return which of a flat list of points (M, D) [m] of vehicles (M,) survive, (M,) bool."""
-        chance = self.presence.log_likelihood_of(points, vehicle)
-        if self.threshold is not None:
-            chance += np.minimum(self.measured.log_likelihood_of(points, vehicle)
-                                 - self.threshold[vehicle], 0)
-        return self._drawn(chance)
-
-    def _drawn(self, chance: Array) -> Array:
-        return np.log(1 - self.rng.random(chance.shape, np.float32)) < chance
 
 
 def _mean(weights: Array, rows: Array) -> Array:
