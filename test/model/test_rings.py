@@ -40,7 +40,9 @@ def test_samples_have_the_density_that_they_are_weighed_by(
     fine = (fine[:-1] + fine[1:]) / 2
     raster = np.stack(np.meshgrid(fine, fine, indexing='ij'), axis=-1).reshape(1, -1, 2)
     raster = raster.astype(np.float32)
-    density = np.exp(sectors.log_density(raster, sectors.ranging.log_density(raster))[0])
+    distance, _ = sectors.ranging.references.distance(raster)
+    density = np.exp(
+        sectors.log_density(raster, distance, sectors.ranging.log_density(raster))[0])
     cells = density.reshape(50, 10, 50, 10).sum(axis=(1, 3)) * 0.3 ** 2
     # A tenth of the samples' own noise; the variance across the line of sight is second order.
     apart = np.abs(counts / counts.sum() - cells).sum() / 2

@@ -134,9 +134,10 @@ class Sectors(Proposal):
     def score(self, points: Array) -> tuple[Array, Array]:
         """Return log-likelihoods (W, P) of points (W, P, 2), and ln of the density drawn from."""
         ranging = self.rings.ranging
-        log_ranging = ranging.log_density(points)
+        distance, variance = ranging.references.distance(points)
+        log_ranging = ranging.errors.log_density(distance - ranging.indicated, variance)
         return (ranging.scores(log_ranging).sum(axis=1) + self.rest.log_likelihood(points),
-                self.rings.log_density(points, log_ranging))
+                self.rings.log_density(points, distance, log_ranging))
 
 
 def heaviest(log_weights: Array, used: Array) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import ClassVar
 
 import numpy as np
 from tsmcl_ros.config import param
@@ -157,6 +158,8 @@ class Messages:
 @dataclass(frozen=True, eq=False)
 class Product(Proposal):
     """Candidates of a product of messages."""
+
+    exact: ClassVar[bool] = False
 
     messages: Messages
     rest: Evidence

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from tsmcl_ros.config import param
@@ -47,6 +48,8 @@ class Proposal:
     grain : (W,) float
         Standard deviation of the kernel that each stands for [m].
     """
+
+    exact: ClassVar[bool] = True  # whether the score is the evidence's own log-likelihood
 
     points: Array
     valid: Array
@@ -101,11 +104,17 @@ class CooperativeFilter(ParticleFilter):
         """Draw the particles from around the references and from the prediction."""
         evidence = self.channel.evidence(observation)
         unsettled, new = np.zeros((len(self.settled), 2)), ~self.cloud.placed
+        log_likelihood = np.full(self.cloud.weights.shape, np.nan, np.float32)
         for vehicle in self._portions(observation):
             proposal = self.propose(observation.of(vehicle).trimmed())
-            unsettled[vehicle] = self.locate(proposal, vehicle)
+            unsettled[vehicle], scored = self.locate(proposal, vehicle)
+            if proposal.exact:
+                log_likelihood[vehicle] = scored
         self.cloud.place(evidence)
-        log_likelihood = evidence.log_likelihood(self.cloud.particles)
+        rest = np.flatnonzero(np.isnan(log_likelihood[:, 0]))
+        if len(rest):
+            log_likelihood[rest] = self.channel.evidence(
+                observation.of(rest)).log_likelihood(self.cloud.particles[rest])
         # Who is placed by this very evidence, however unlikely, has no belief that it excludes.
         self.cloud.weigh(self.cloud.recover(evidence, log_likelihood, spared=new))
         estimate = self.cloud.estimate(observation)
@@ -113,14 +122,16 @@ class CooperativeFilter(ParticleFilter):
         return replace(estimate, covariance=estimate.covariance
                        + unsettled[:, :, None] * unsettled[:, None, :])
 
-    def locate(self, proposal: Proposal, vehicle: Array) -> Array:
+    def locate(self, proposal: Proposal, vehicle: Array) -> tuple[Array, Array]:
         """
         Draw the particles of some vehicles (W,) from a proposal, and from their belief.
 
         Returns
         -------
-        (W, 2) float
-            How far the estimates of those without a belief moved to the last, unsettled [m].
+        unsettled : (W, 2) float
+            How far the estimates of those without a belief moved to the last [m].
+        scored : (W, N) float32
+            The log-likelihoods that the proposal gave what the particles were drawn from.
         """
         self.settled[vehicle] = ~proposal.unsettled.any(axis=1)
         placed = self.cloud.placed[vehicle]
@@ -128,18 +139,20 @@ class CooperativeFilter(ParticleFilter):
         log_weights = np.where(proposal.valid, target - drawn, -np.inf)
         new = vehicle[~placed]
         weights, _ = normalize(log_weights[~placed])
-        self.cloud.fill(new, proposal.points[~placed], weights)
+        index = self.cloud.fill(new, proposal.points[~placed], weights)
+        scored = np.empty((len(vehicle), index.shape[1]), np.float32)
+        scored[~placed] = np.take_along_axis(target[~placed], index, axis=1)
         shape = (len(new), self.cloud.states.shape[1], 2)
         noise = self.rng.standard_normal(shape, np.float32)
         self.cloud.states[new, :, :2] += proposal.grain[~placed, None, None] * noise
         self.cloud.states[new, :, 2:] = self.cloud.motion.draw(*shape[:2], self.rng)
         if placed.any():
-            self._fuse(proposal, vehicle, placed, target, drawn)
-        return np.where(placed[:, None], 0, proposal.unsettled)
+            scored[placed] = self._fuse(proposal, vehicle, placed, target, drawn)
+        return np.where(placed[:, None], 0, proposal.unsettled), scored
 
     def _fuse(self, proposal: Proposal, vehicle: Array, placed: Array, target: Array,
-              drawn: Array) -> None:
-        """Draw the particles of the vehicles that are placed from both sources."""
+              drawn: Array) -> Array:
+        """Draw the particles of the vehicles that are placed from both sources; score them."""
         cloud, old = self.cloud, vehicle[placed]
         # Copies part, as where the filters without a proposal resample.
         particles = cloud.particles[vehicle]
@@ -166,6 +179,7 @@ class CooperativeFilter(ParticleFilter):
         index = cloud.fill(old, points, weights)
         parent = np.take_along_axis(parent, index, axis=1)
         cloud.states[old, :, 2:] = np.take_along_axis(states, parent[:, :, None], axis=1)[:, :, 2:]
+        return np.take_along_axis(target, index, axis=1)
 
     def _portions(self, observation: Observation) -> Iterator[Array]:
         """

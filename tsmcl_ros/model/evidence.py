@@ -77,10 +77,11 @@ class References:
         """
         delta = [points[:, None, :, axis] - position
                  for axis, position in enumerate(self.position)]
-        squared = delta[0] * delta[0]
+        known = self.covariance is None
+        squared = np.square(delta[0], out=delta[0] if known else None)
         for axis in delta[1:]:
-            squared += axis * axis
-        if self.covariance is None:
+            squared += np.square(axis, out=axis if known else None)
+        if known:
             return np.sqrt(squared, out=squared), None
         across, variance = self.uncertainty(delta, squared)
         return np.sqrt(squared + across), variance
@@ -98,7 +99,9 @@ class References:
         """
         covariance, axes = self.covariance, range(len(sight))
         assert covariance is not None
-        along = sum(sight[i] * sight[j] * covariance[i, j] for i in axes for j in axes)
+        # Symmetric: what is beside the diagonal counts twice.
+        along = sum(sight[i] * sum((1 + (i < j)) * covariance[i, j] * sight[j] for j in axes[i:])
+                    for i in axes)
         along = along / np.maximum(squared, np.float32(1e-6))
         across = np.maximum(sum(covariance[i, i] for i in axes) - along, 0)
         # In three dimensions it is spread over two directions.

@@ -114,8 +114,10 @@ class AsymmetricErrors:
     def log_density(self, error: Array, variance: Array | None) -> Array:
         """Return ln p(e): see `RangeErrors`."""
         if variance is None:
-            decay = np.minimum(-error / self.short, error / self.long)
-            return np.asarray(decay + self.bound(None))
+            decay = error * (1 / self.long)
+            np.minimum(decay, error * (-1 / self.short), out=decay)
+            decay += self.bound(None)
+            return np.asarray(decay)
         std = np.sqrt(np.maximum(variance, np.float32(1e-6)))
         positive, negative = (_one_sided(error, std, self.short),
                               _one_sided(-error, std, self.long))
@@ -188,7 +190,9 @@ class Ranging:
     def scores(self, log_density: Array) -> Array:
         """Return log-likelihoods (V, E, P) relative to their peak, with outliers reckoned in."""
         relative = log_density - self.errors.bound(self.references.least)
-        return heavy_tailed(np.where(self.used, np.minimum(relative, 0), 0), self.floor)
+        np.minimum(relative, 0, out=relative)
+        np.copyto(relative, 0, where=~self.used)
+        return heavy_tailed(relative, self.floor)
 
     def simplified(self) -> Ranging:
         """

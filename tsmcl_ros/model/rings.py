@@ -59,7 +59,7 @@ class Rings:
         points = references.position + np.abs(distance) * sight
         return np.moveaxis(points, 0, -1).astype(np.float32), direction
 
-    def log_density(self, points: Array, log_ranging: Array) -> Array:
+    def log_density(self, points: Array, distance: Array, log_ranging: Array) -> Array:
         """
         Return ln of the density (V, P) [1/m^2] that `draw` gives points (V, P, 2) [m].
 
@@ -67,17 +67,22 @@ class Rings:
         ----------
         points : (V, P, 2) float32
             [m].
+        distance : (V, K, P) float32
+            Of them, as `References.distance` has it [m].
         log_ranging : (V, K, P) float32
             ln p of the ranges at them, as `Ranging.log_density` has it.
         """
-        references, half = self.ranging.references, self.arcs.half[:, :, None]
+        half = self.arcs.half[:, :, None]
         x, y = (points[:, None, :, axis] - position
-                for axis, position in enumerate(references.position))
+                for axis, position in enumerate(self.ranging.references.position))
         cos, sin = (turn(self.arcs.middle)[:, :, None] for turn in (np.cos, np.sin))
-        aside = np.abs(np.arctan2(y * cos - x * sin, x * cos + y * sin))
-        # A hair more, so that rounding cannot put a sample outside of its own arc.
-        inside = aside <= half * np.float32(1.001) + np.float32(1e-6)
-        distance, _ = references.distance(points)
+        ahead = x * cos + y * sin
+        ahead += np.sqrt(x * x + y * y)
+        aside = np.abs(y * cos - x * sin)
+        # The tangents of half the angles, aside / ahead, which cost less than the angles. A hair
+        # more, so that rounding cannot put a sample outside of its own arc.
+        widest = np.tan(np.minimum(half * np.float32(0.5005) + np.float32(1e-6), np.pi / 2 - 1e-3))
+        inside = (aside <= widest * ahead) | (half > np.float32(np.pi - 2e-3))
         density = np.exp(log_ranging) / (2 * half * np.maximum(distance, np.float32(1e-3)))
         density = np.where(inside & self.ranging.used, density, 0)
         count = np.maximum(self.used.sum(axis=1), 1)[:, None]
