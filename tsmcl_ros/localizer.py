@@ -346,8 +346,8 @@ class Localizer:
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
         if self.evidence_config.echo_guard > 0:
-            _, std, ranged = self.channel.distances(observation)
-            estimate = self._hearsay.add(estimate, claimed, observation, std, ranged)
+            estimate = self._hearsay.add(
+                estimate, claimed, observation, *self.channel.resolution(observation))
         estimate = self._through_outage(estimate, observation, motion)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp

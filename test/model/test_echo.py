@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tsmcl_ros.evaluation.metrics import nees_band, normalized_error_squared
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
+from tsmcl_ros.model.echo import guard, handed_on, Hearsay, refuse_certainty
 from tsmcl_ros.model.relay import Poses
 from tsmcl_ros.types import ANCHOR, Estimate, MessageError, Observation, PADDED, VEHICLE
 from tsmcl_ros.world import make_world
@@ -108,6 +108,17 @@ def test_ranges_to_anchors_wear_down_what_was_inherited() -> None:
     # A posterior of 0.25 m^2 from two ranges of 1 m along each axis: a gain of one half.
     added = inherited(hearsay, 0.25 * np.eye(2)[None], heard(*AROUND, variance=0.0, kind=ANCHOR))
     np.testing.assert_allclose(added, np.eye(2)[None], atol=1e-5)
+
+
+@pytest.mark.parametrize(('variance', 'owed'), [(3.0, 1.5), (0.0, 0.0)])
+def test_a_placed_vehicle_hands_on_what_its_references_made_it_err(
+    variance: float, owed: float,
+) -> None:
+    # The mean of two opposite references along each axis, each heard with an error of its own.
+    observation = heard(*AROUND, variance=variance)
+    estimate = estimated((1.0 + variance) / 2 * np.eye(2)[None])
+    found = handed_on(estimate, observation, np.ones((1, 4)), observation.heard)
+    np.testing.assert_allclose(found, owed * np.eye(2)[None], atol=1e-6)
 
 
 def test_who_is_placed_anew_inherits_nothing_of_what_it_believed() -> None:

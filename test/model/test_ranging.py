@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.ranging import AsymmetricErrors, draw_asymmetric, GaussianErrors, RangeErrors
+from tsmcl_ros.types import Observation
 
 SHORT, LONG = 1.2, 4.0
 
@@ -84,3 +86,23 @@ def test_the_mean_of_asymmetric_errors_is_the_difference_of_their_scales() -> No
                             np.random.default_rng(1))
     # The standard error is 0.02 m.
     assert drawn.mean() == pytest.approx(SHORT - LONG, abs=0.08)
+
+
+@pytest.mark.parametrize('noise', ['gaussian', 'asymmetric_exponential'])
+def test_ranges_resolve_what_their_law_s_fisher_information_says(noise: str) -> None:
+    channel = Channel(RadioConfig(range_noise=noise, range_std=3.0),
+                      EvidenceConfig(range_calibration='off'))
+    observation = Observation.empty(1, 1, 2, 0.0)
+    observation.sender[:] = 0
+    observation.range[:] = 20.0
+    std, used = channel.resolution(observation)
+    scales = 0.058 * 20 + 0.01, 0.19 * 20 + 0.21
+    law = (GaussianErrors(column(3.0)) if noise == 'gaussian' else
+           AsymmetricErrors(*(column(scale) for scale in scales)))
+    # Beside the peak, of which a step would take both sides.
+    error = np.linspace(-150, 150, 60_000)
+    log_density = law.log_density(error[None, None], None)[0, 0].astype(np.float64)
+    slope = np.diff(log_density) / np.diff(error)
+    information = (slope ** 2 * np.exp(log_density[1:])).sum() * (error[1] - error[0])
+    assert used.all()
+    assert std[0, 0] == pytest.approx(1 / math.sqrt(information), rel=0.02)

@@ -92,7 +92,7 @@ class Hearsay:
         claimed, believed : Observation
             What the references said of themselves, and what the guard made of it.
         std : (V, K) float
-            Of the ranges [m].
+            Of normal errors that would tell as much as the ranges' [m].
         ranged : (V, K) bool
             The rows whose range counts.
         """
@@ -102,12 +102,8 @@ class Hearsay:
         vehicles = ranged & (believed.kind == VEHICLE)
         if not (vehicles.any() or self.covariance.any()):
             return estimate
-        sight = np.where(
-            ranged[:, :, None], believed.position - np.nan_to_num(estimate.mean)[:, None], 0)
-        sight = sight / np.maximum(np.linalg.norm(sight, axis=2, keepdims=True), 1e-3)
-        said = np.where(ranged[:, :, None, None], believed.covariance, 0)
-        variance = np.square(std) + np.einsum('vki,vkij,vkj->vk', sight, said, sight)
-        precision = ranged / variance
+        sight, variance = _along(estimate, believed, ranged)
+        precision = ranged / (np.square(std) + variance)
         own = np.where(known[:, None, None], estimate.covariance, 0)
         rest = np.eye(sight.shape[2]) - _gain(own, precision, sight)
         learnt = _gain(own, precision * vehicles, sight)
@@ -119,6 +115,31 @@ class Hearsay:
             rest @ self.covariance @ np.swapaxes(rest, 1, 2),
             learnt @ theirs @ np.swapaxes(learnt, 1, 2))
         return replace(estimate, covariance=estimate.covariance + self.covariance)
+
+
+def handed_on(estimate: Estimate, observation: Observation, std: Array, ranged: Array) -> Array:
+    """
+    Return what of a covariance (V, D, D) [m^2] comes by the errors of references.
+
+    That is of an estimate by ranges alone, and to first order. The rest is by the ranges' own
+    errors, which nobody shares; see `Hearsay.add` for the parameters.
+    """
+    known = np.isfinite(estimate.mean).all(axis=1)
+    ranged = ranged & known[:, None]
+    sight, variance = _along(estimate, observation, ranged)
+    total = np.square(std) + variance
+    own = np.where(known[:, None, None], estimate.covariance, 0)
+    # K S K of every reference, summed, where K is the covariance times its information.
+    return _gain(own, ranged * variance / np.square(total), sight) @ own
+
+
+def _along(estimate: Estimate, observation: Observation, ranged: Array) -> tuple[Array, Array]:
+    """Return unit vectors (V, K, D) to estimates, references' variance (V, K) [m^2] along them."""
+    sight = np.where(
+        ranged[:, :, None], observation.position - np.nan_to_num(estimate.mean)[:, None], 0)
+    sight = sight / np.maximum(np.linalg.norm(sight, axis=2, keepdims=True), 1e-3)
+    said = np.where(ranged[:, :, None, None], observation.covariance, 0)
+    return sight, np.einsum('vki,vkij,vkj->vk', sight, said, sight)
 
 
 def _gain(covariance: Array, precision: Array, sight: Array) -> Array:

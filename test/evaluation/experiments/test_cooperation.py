@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.evaluation.experiments.cooperation import CoopSamples, CoopTime, RADIO
 from tsmcl_ros.evaluation.experiments.network import cooperate, Network
@@ -87,6 +88,15 @@ def test_neighbours_make_errors_smaller_and_localize_more(method):
     assert rounds.localized[1].sum() > rounds.localized[0].sum()
     # No range has counted twice yet.
     assert 1.0 < rounds.nees[1].mean() < 4.0
+
+
+def test_who_hears_its_own_words_again_stays_honest():
+    # In the third round references know each other, and the ranges between them, already.
+    rounds = cooperate(network(132, seed=4), 'cooperative', {'reference_samples': 50}, RADIO, 3,
+                       8.0, np.random.SeedSequence(4))
+
+    assert 1.5 < rounds.nees[2].mean() < 2.5
+    assert np.mean(rounds.nees[2] < chi2.ppf(0.95, 2)) > 0.92
 
 
 def test_every_round_of_every_target_is_a_row(small):

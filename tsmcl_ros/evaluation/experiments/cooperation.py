@@ -49,7 +49,8 @@ class Cooperation:
         Samples of each reference, M.
     rounds : int
         Rounds of localization. Up to the second nothing counts twice; from the third on targets
-        hear of each other what they have said themselves, as in all loopy belief propagation.
+        hear of each other what they have said themselves, as in all loopy belief propagation;
+        covariances reckon with that (`echo.Hearsay`).
     reference_std : float
         Targets with a larger standard deviation are no references [m].
     grid_cell : float

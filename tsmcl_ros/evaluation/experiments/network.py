@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from tsmcl_ros.evaluation.metrics import normalized_error_squared
 from tsmcl_ros.evaluation.monte_carlo import Stopwatch
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.model.echo import handed_on, Hearsay
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ANCHOR, Array, Estimate, Observation, PADDED, VEHICLE
@@ -99,7 +100,8 @@ def cooperate(network: Network, method: str, settings: dict[str, Any], radio: Ra
     Localize all targets from their references, round by round.
 
     Every round starts from the same ranges to anchors and to the targets that the round before
-    has localized, and not from beliefs, in which these ranges count already. A target is
+    has localized, and not from beliefs, in which these ranges count already. Beside its covariance
+    a target tells what of it is by the errors of its references, which others share. A target is
     localized if its search among directions has settled and its estimate's standard deviation is
     at most `reference_std` [m].
     """
@@ -109,14 +111,21 @@ def cooperate(network: Network, method: str, settings: dict[str, Any], radio: Ra
     motion = motion_model(MotionConfig(motion_model='random'), 2, odometry=False)
     kind = METHODS[method]
     usable, estimate = np.zeros(vehicles, bool), None
+    shared = np.zeros((vehicles, 2, 2))
     found: list[tuple[Array, Array, Array]] = []
     watch = Stopwatch()
     for child in seed.spawn(rounds):
         filter_ = kind(kind.Config(**settings), channel, motion, vehicles, 2,
                        np.random.default_rng(child))
         observation = network.observe(estimate, usable)
+        claimed = observation if estimate is None else network.observe(
+            replace(estimate, covariance=shared), usable)
         with watch:
-            estimate = filter_.update(observation)
+            alone = filter_.update(observation)
+            std, ranged = channel.resolution(observation)
+            hearsay = Hearsay(vehicles, 2)
+            estimate = hearsay.add(alone, claimed, observation, std, ranged)
+            shared = hearsay.covariance + handed_on(alone, observation, std, ranged)
         settled = getattr(filter_, 'settled', np.ones(vehicles, bool))
         # Who has heard nobody yet has no estimate, and compares as false.
         spread = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
