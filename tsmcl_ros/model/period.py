@@ -8,7 +8,7 @@ steepest point, ln(alpha / q), to the right; it is flat at small residuals and n
 
 The paper's residual, a sum of metres, grows with the noise of the ranges and the number of
 anchors, so that q and alpha suit one network; normalized by what the filter expects it does not,
-and q 4, alpha 400 suit all: exp(residual) / alpha is then 1 / (alpha times the likelihood of the
+and q 3, alpha 5000 suit all: exp(residual) / alpha is then 1 / (alpha times the likelihood of the
 prediction).
 """
 

@@ -39,7 +39,7 @@ def made_up(**errors_and_bits: tuple[float, float]
             ) -> dict[tuple[float, int, str], dict[str, np.ndarray]]:
     """Return findings in which all vehicles have the same error and bits."""
     names = {'one': 'omega 1', 'five': 'omega 5', 'adaptive': 'adaptive',
-             'paper': 'adaptive, paper', 'four': 'omega 4'}
+             'paper': 'adaptive, paper', 'three': 'omega 3'}
     return {(3.0, 10, names[name]): {
         'error_m': np.full(4, error), 'sampled_error_m': np.full(4, error),
         'bits': np.full(4, bits), 'updates': np.full(4, 1.0)}
@@ -94,7 +94,7 @@ def test_the_score_is_the_sum_of_both_shares() -> None:
 
 def test_each_adaptive_period_is_scored_against_the_fixed_ones_alone() -> None:
     found = made_up(one=(1.0, 100.0), five=(2.0, 20.0), adaptive=(1.5, 36.0),
-                    paper=(4.0, 10.0), four=(1.5, 40.0))
+                    paper=(4.0, 10.0), three=(1.5, 40.0))
     assert score(found, (3.0, 10), 'adaptive', 'error_m').value == pytest.approx(1.11)
     assert score(found, (3.0, 10), 'adaptive, paper', 'error_m').value == pytest.approx(1.1)
     ours, paper, adapting = list(judge_score(found))[:3]

@@ -51,11 +51,11 @@ ACCELERATION_STD = 0.01
 SCHEMES: dict[str, dict[str, Any]] = {
     'omega 1': {'period_factor': 1},
     'omega 5': {'period_factor': 5},
-    'adaptive': {'beacon_period': 'adaptive', 'period_residual': 'normalized', 'period_q': 4.0,
-                 'period_alpha': 400.0},
+    'adaptive': {'beacon_period': 'adaptive', 'period_residual': 'normalized', 'period_q': 3.0,
+                 'period_alpha': 5000.0},
     'adaptive, paper': {'beacon_period': 'adaptive', 'period_residual': 'sum', 'period_q': 15.0,
                         'period_alpha': 1e6},
-    'omega 4': {'period_factor': 4},
+    'omega 3': {'period_factor': 3},
 }
 _SETTLING = 5  # periods until all are placed and have a velocity
 
@@ -86,7 +86,7 @@ class AdaptivePeriod:
     variances: tuple[float, ...] = (3.0,)
     shares: tuple[float, ...] = (1 / 3,)
     runs: int = 4
-    worlds: int = 25
+    worlds: int = 16
     epochs: int = 200
     nodes: int = 30
 
