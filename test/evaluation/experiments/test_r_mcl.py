@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
-from tsmcl_ros.evaluation.experiments.r_mcl import RMclRssiError, RMclTime
+from tsmcl_ros.evaluation.experiments.r_mcl import (
+    falls,
+    RMclAnchorDensity,
+    RMclRssiError,
+    RMclTime,
+)
 from tsmcl_ros.evaluation.experiments.relayed_field import (
     Field,
     field_case,
@@ -15,7 +20,7 @@ from tsmcl_ros.evaluation.experiments.relayed_field import (
     uniform_in_disk,
     Wanderers,
 )
-from tsmcl_ros.evaluation.monte_carlo import Outcome, Result, run_experiment
+from tsmcl_ros.evaluation.monte_carlo import Interval, Outcome, Result, run_experiment
 
 SWEEPS = ('r_mcl_anchor_density', 'r_mcl_node_density', 'r_mcl_rssi_error')
 
@@ -87,6 +92,22 @@ def test_what_the_exact_filter_misses_is_not_reproducible():
 
     assert found['R-MCL, 2 dB: the paper has 0.2 R'].startswith('not reproducible')
     assert found['R-MCL, 4 dB, with neighbours: mean error <= 0.2 R'] == 'missed'
+
+
+def test_an_error_falls_where_chance_does_not_explain_that_it_is_less():
+    assert falls(Interval(0.9, 0.85, 0.95)) == 'reproduced'
+    assert falls(Interval(0.97, 0.9, 1.04)) == 'not decided: within chance'
+    assert falls(Interval(1.02, 0.9, 1.1)) == 'not seen'
+
+
+def test_an_error_that_goes_on_falling_by_more_than_a_tenth_is_not_flat():
+    def flat(end):
+        found = verdicts(RMclAnchorDensity(), lambda case: {2.0: 1.0, 4.0: end}.get(
+            case['anchor_density'], 1.5))
+        return found['flat from 2 on: error at 4 over that at 2']
+
+    assert flat(0.95) == 'reproduced'
+    assert flat(0.8) == 'exceeded: it goes on falling'
 
 
 def test_rssi_without_use_has_to_leave_mcl():

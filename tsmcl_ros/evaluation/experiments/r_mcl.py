@@ -1,7 +1,9 @@
 """
 R-MCL by rssi among few anchors: against the exact filter, and what else would help.
 
-The paper (Liu, R-MCL) has 0.2 R for R-MCL and 0.31 R for MCL.
+The paper (Liu, R-MCL) has 0.2 R for R-MCL and 0.31 R for MCL. Ours keeps as many particles, 50,
+of 400 candidates weighed. It may come below the exact filter, which takes every step for a new
+random one: these vehicles go straight, and motion that is widened at surprises follows them.
 """
 
 from __future__ import annotations
@@ -179,11 +181,12 @@ class RMclAnchorDensity(_Sweep):
         first, last = self.values[0], self.values[-1]
         fall = self._change(curves, first, 1.0)
         rest = self._change(curves, 2.0, last)
+        goes_on = 'exceeded: it goes on falling' if rest.high < 1 else 'not decided'
         return [
             Finding(f'falls up to a density of 1: error at 1 over that at {first:g}', str(fall),
-                    '', 'reproduced' if fall.high < 1 else 'not seen'),
+                    '', falls(fall)),
             Finding(f'flat from 2 on: error at {last:g} over that at 2', str(rest), '',
-                    'reproduced' if rest.low > 0.9 else 'exceeded: it goes on falling')]
+                    'reproduced' if rest.low > 0.9 else goes_on)]
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ class RMclNodeDensity(_Sweep):
         first, last = self.values[0], self.values[-1]
         change = self._change(curves, first, last)
         return [Finding(f'falls slightly: error at {last:g} over that at {first:g}', str(change),
-                        '', 'reproduced' if change.value < 1 else 'not seen')]
+                        '', falls(change))]
 
 
 @dataclass(frozen=True)
@@ -229,6 +232,13 @@ class RMclRssiError(_Sweep):
                     str(growth), '', 'reproduced' if growth.low > 1 else 'not seen'),
             goal(f'becomes MCL: error at {last:g} dB over that of MCL without rssi',
                  ratio(worst, mcl), 1.05)]
+
+
+def falls(change: Interval) -> str:
+    """Judge a claim that an error falls by what it changes to, over what it was."""
+    if change.high < 1:
+        return 'reproduced'
+    return 'not seen' if change.value >= 1 else 'not decided: within chance'
 
 
 def possible(claimed: float, exact: Interval, found: Interval) -> str:
