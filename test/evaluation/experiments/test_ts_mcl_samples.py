@@ -70,7 +70,25 @@ def test_time_is_compared_at_equal_accuracy_and_at_equal_n(seconds, verdict):
     def of(case):
         return seconds if case['filter'] == 'ts_mcl' else 1.0
 
-    assert verdicts(TsMclTime(), lambda _: 100.0, of) == [verdict] * 2
+    # With 10 iterations and with a single one, which is as accurate.
+    assert verdicts(TsMclTime(), lambda _: 100.0, of) == [verdict] * 4
+
+
+def test_time_is_compared_with_the_least_iterations_that_are_accurate_enough():
+    def error(case):
+        return 101.0 if case['filter'] == 'ts_mcl' and case['iterations'] < 5 else 100.0
+
+    claims = [finding.claim for finding in TsMclTime().judge(made_up(TsMclTime(), error)).findings]
+    assert [claim.partition('and ')[2].partition(' over')[0] for claim in claims] == [
+        '5 iterations', '10 iterations'] * 2
+
+
+def test_less_time_for_less_accuracy_is_called_that():
+    def error(case):
+        return 101.0 if case['filter'] == 'ts_mcl' else 100.0
+
+    assert verdicts(TsMclTime(), error, lambda case: 0.5 if case['filter'] == 'ts_mcl' else 1.0
+                    ) == ['reached, though less accurate'] * 2
 
 
 def test_every_radio_range_is_judged_by_itself():
