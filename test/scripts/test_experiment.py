@@ -1,5 +1,7 @@
 """The experiment script, from the command line to files and exit codes."""
 
+from contextlib import redirect_stdout
+import io
 import json
 
 import pytest
@@ -10,17 +12,41 @@ NAME = 'ts_mcl_convergence'
 
 
 @pytest.fixture(scope='module')
-def quick(tmp_path_factory):
-    """Return the folder of a quick run in this process."""
-    folder = tmp_path_factory.mktemp('quick')
-    assert main([NAME, '--quick', '--quiet', '--workers', '1', '--seed', '4',
-                 '--out', str(folder / 'new')]) == 0
-    return folder / 'new'
+def everything(tmp_path_factory):
+    """Return the folder of a quick run of all experiments in this process, and what it prints."""
+    folder = tmp_path_factory.mktemp('quick') / 'new'
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        assert main(['all', '--quick', '--quiet', '--workers', '1', '--seed', '4',
+                     '--out', str(folder)]) == 0
+    return folder, printed.getvalue()
 
 
-def test_it_writes_rows_settings_and_a_figure(quick):
+@pytest.fixture
+def quick(everything):
+    """Return the folder of the quick run."""
+    return everything[0]
+
+
+def test_all_runs_every_experiment_and_writes_their_page(quick):
     assert {path.name for path in quick.iterdir()} == {
-        f'{NAME}.csv', f'{NAME}.json', f'{NAME}.png'}
+        'reproduction.md',
+        *(f'{name}.{kind}' for name in EXPERIMENTS for kind in ('csv', 'json', 'png'))}
+
+
+@pytest.mark.parametrize('name', EXPERIMENTS)
+def test_each_experiment_is_judged_drawn_and_shown(name, everything):
+    folder, printed = everything
+    document = json.loads((folder / f'{name}.json').read_text())
+    page = (folder / 'reproduction.md').read_text()
+
+    assert (folder / f'{name}.png').read_bytes().startswith(b'\x89PNG')
+    assert len((folder / f'{name}.csv').read_text().splitlines()) > 2
+    assert document['findings']
+    for finding in document['findings']:
+        assert finding['claim'] in page
+        assert finding['claim'] in printed
+        assert finding['verdict']
 
 
 def test_the_settings_are_those_given(quick):
@@ -39,25 +65,17 @@ def test_two_processes_write_the_same_rows(quick, run, tmp_path):
     assert (tmp_path / f'{NAME}.csv').read_bytes() == (quick / f'{NAME}.csv').read_bytes()
 
 
-def test_it_prints_a_table_and_verdicts(capsys, tmp_path):
-    assert main([NAME, '--quick', '--quiet', '--runs', '1', '--workers', '1',
-                 '--out', str(tmp_path)]) == 0
-
-    printed = capsys.readouterr().out
+def test_it_prints_a_table_and_verdicts(everything):
     for text in ('vehicles know', '+ odometry', 'bootstrap', 'exact grid', 'not reproducible',
                  'too small to judge by', f'{NAME}.csv'):
-        assert text in printed
+        assert text in everything[1]
 
 
-def test_all_runs_every_experiment_and_writes_their_page(tmp_path, monkeypatch):
-    seen, written = [], []
-    monkeypatch.setattr('tsmcl_ros.scripts.experiment._run', lambda name, *_: seen.append(name))
-    monkeypatch.setattr('tsmcl_ros.scripts.experiment.write_reproduction',
-                        lambda *arguments: written.append(arguments) or [])
+def test_the_number_of_runs_can_be_given(tmp_path):
+    assert main(['period_factor', '--quick', '--quiet', '--runs', '3', '--workers', '1',
+                 '--out', str(tmp_path)]) == 0
 
-    assert main(['all', '--out', str(tmp_path)]) == 0
-    assert seen == list(EXPERIMENTS)
-    assert written == [(tmp_path, seen, tmp_path / 'reproduction.md')]
+    assert json.loads((tmp_path / 'period_factor.json').read_text())['runs'] == 3
 
 
 def test_the_page_can_be_written_again_elsewhere_without_running_anything(quick, capsys, tmp_path):
