@@ -36,8 +36,12 @@ def overrides(**settings: object) -> list[str]:
     )]
 
 
-def in_process(cooperation: bool) -> tuple[list[Epoch], np.ndarray]:
-    """Return what a world and a localizer do with the same seeds, without DDS."""
+def in_process(cooperation: bool) -> tuple[list[Epoch], np.ndarray, np.ndarray]:
+    """
+    Return what a world and a localizer do with the same seeds, without DDS.
+
+    That is all epochs, and of the last estimates the errors and the standard deviations [m].
+    """
     world = make_world({**WORLD, 'anchor_layout': 'list', 'anchor_positions': ANCHORS},
                        np.random.default_rng(SEED))
     localizer = Localizer(FLEET, WORLD['vehicles'])
@@ -49,7 +53,8 @@ def in_process(cooperation: bool) -> tuple[list[Epoch], np.ndarray]:
             epochs[-1].observation, epochs[-1].odom_position, epochs[-1].odom_yaw)
         if cooperation:
             poses = Poses.of(estimate)
-    return epochs, np.linalg.norm(estimate.mean - epochs[-1].position, axis=1)
+    std = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
+    return epochs, np.linalg.norm(estimate.mean - epochs[-1].position, axis=1), std
 
 
 def test_vehicles_that_hear_too_few_anchors_are_localized_through_others(
@@ -71,7 +76,7 @@ def test_vehicles_that_hear_too_few_anchors_are_localized_through_others(
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0
     assert 'no longer waited for' not in simulator.output
-    epochs, errors = in_process(cooperation=True)
+    epochs, errors, stds = in_process(cooperation=True)
     probe.expect(lambda: all(len(found) == EPOCHS for found in scans + odometry + truths) and all(
         found and messages.decode_pose(found[-1]).stamp == EPOCHS for found in poses),
         'the last estimate of each vehicle')
@@ -87,8 +92,9 @@ def test_vehicles_that_hear_too_few_anchors_are_localized_through_others(
     last = epochs[-1].observation
     assert all((last.kind[i, last.heard[i]] == VEHICLE).all() for i in FAR)
     assert errors[FAR].max() < 1.0
-    _, alone = in_process(cooperation=False)
-    assert not (alone[FAR] < 1.5).any()
+    # Alone one may be right by luck, but does not know it; NaN is nowhere yet.
+    _, _, alone = in_process(cooperation=False)
+    assert not (alone[FAR] < 5 * stds[FAR]).any()
     assert anchors.stop() == fleet.stop() == 0
 
 
