@@ -132,6 +132,15 @@ def test_errors_are_judged_on_the_same_targets(nbp, cooperative, verdicts):
     assert findings[4].verdict == 'as good as possible'
 
 
+@pytest.mark.parametrize(('nbp', 'verdict'), [
+    (1.0, 'as good as possible'), (1.1, 'not as good as possible')])
+def test_the_baseline_too_is_held_against_the_exact_filter(nbp, verdict):
+    experiment = CoopSamples(runs=1, targets=40, samples=(50, 500))
+    results = made_up(experiment, lambda method, _: nbp if method == 'nbp' else 1.0,
+                      lambda *_: 1.0)
+    assert experiment.judge(results).findings[5].verdict == verdict
+
+
 def test_errors_that_fall_with_the_samples_are_no_reproduction():
     experiment = CoopSamples(runs=1, targets=40, samples=(50, 500))
     results = made_up(experiment, lambda _, samples: 10 / max(samples, 1), lambda *_: 1.0)

@@ -142,19 +142,20 @@ class CoopSamples(Cooperation):
                     'reproduced' if 0.9 < matters.value < 1.1 else 'not reproduced'),
             _smaller(f'RMSE of cooperative at M = {least} below that of NBP at M = {most}', few,
                      found['nbp', most]),
-            self._first_round(found['cooperative', most], found['grid', 0]),
+            *(self._first_round(found[method, most], found['grid', 0])
+              for method in ('cooperative', 'nbp')),
         ]
         return findings
 
     def _first_round(self, tried: Try, exact: Try) -> Finding:
         """Compare the first round, which has anchors alone, with the exact filter."""
-        several = tried.anchors_heard >= 3
-        found, limit = (bootstrap_interval(rmse, each.error[0, several])
-                        for each in (tried, exact))
-        verdict = 'as good as possible' if found.value <= 1.05 * limit.value else (
-            'not as good as possible')
-        return Finding('anchors alone, three or more heard, cooperative', f'{found} m',
-                       f'exact filter {limit} m', verdict)
+        both = (tried.anchors_heard >= 3) & np.isfinite(tried.error[0] + exact.error[0])
+        share = ratio_interval(rmse, tried.error[0, both], exact.error[0, both])
+        return Finding(
+            f'anchors alone, three or more heard: RMSE of {SHOWN[tried.method]} at '
+            f'M = {tried.samples} over that of the exact filter', str(share),
+            f'exact filter {bootstrap_interval(rmse, exact.error[0, both])} m',
+            'as good as possible' if share.value <= 1.05 else 'not as good as possible')
 
 
 @dataclass(frozen=True)
