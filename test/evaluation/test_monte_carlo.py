@@ -1,8 +1,6 @@
-"""Parallel runs, their seeds, their files, and bootstrap intervals."""
+"""Parallel runs, their seeds, and bootstrap intervals."""
 
 from contextlib import suppress
-import csv
-import json
 import os
 from pathlib import Path
 import signal
@@ -14,11 +12,8 @@ import pytest
 from scipy.stats import norm
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
-    Outcome,
-    prepare_folder,
     run_experiment,
     significant,
-    write_results,
 )
 from tsmcl_ros.types import TsmclError
 
@@ -67,69 +62,6 @@ def test_more_runs_leave_the_first_ones_as_they_are():
 def test_a_killed_process_is_one_clear_error():
     with pytest.raises(TsmclError, match='killed.* fewer workers'):
         run_experiment(Dies(), 0, 1, 2)
-
-
-def test_the_csv_file_holds_every_row_led_by_its_case_and_run(tmp_path):
-    experiment = Draws()
-    results = run_experiment(experiment, 0, 2, 1)
-
-    write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
-
-    with (tmp_path / 'draws.csv').open(newline='') as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ['scale', 'name', 'run', 'index', 'value']
-    assert len(rows) == 2 * 2 * 3
-    assert float(rows[-1]['value']) == pytest.approx(values(results)[-1][-1], rel=1e-5)
-
-
-def test_an_unknown_number_is_an_empty_cell(tmp_path):
-    class Unknown(Draws):
-        def work(self, case, seed):
-            return Outcome({'value': np.array([np.nan])}, 0.0)
-
-    experiment = Unknown()
-    results = run_experiment(experiment, 0, 1, 1)
-    write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
-
-    assert (tmp_path / 'draws.csv').read_text().splitlines()[1] == '1.0,a,0,'
-
-
-def test_the_json_file_says_what_made_the_rows_and_what_they_show(tmp_path):
-    experiment = Draws(rows=4)
-    results = run_experiment(experiment, 3, 1, 1)
-
-    written = write_results(
-        tmp_path, 'draws', experiment, results, experiment.judge(results), {'seed': 3})
-
-    assert written == ['draws.csv', 'draws.json', 'draws.png']
-    document = json.loads((tmp_path / 'draws.json').read_text())
-    assert document['seed'] == 3
-    assert document['config'] == {'runs': 2, 'rows': 4}
-    assert document['versions']['numpy'] == np.__version__
-    assert document['cases'] == experiment.cases()
-    assert document['findings'] == [
-        {'claim': 'claim', 'measured': '1 m', 'limit': '', 'verdict': 'reached'}]
-
-
-def test_without_matplotlib_there_is_no_figure(tmp_path):
-    class Plotless(Draws):
-        def draw(self, results, path):
-            raise ModuleNotFoundError(name='matplotlib.figure')
-
-    experiment = Plotless()
-    results = run_experiment(experiment, 0, 1, 1)
-
-    written = write_results(
-        tmp_path, 'draws', experiment, results, experiment.judge(results), {})
-
-    assert written == ['draws.csv', 'draws.json']
-
-
-def test_a_folder_that_cannot_be_made_is_found_out_beforehand(tmp_path):
-    (tmp_path / 'file').write_text('')
-
-    with pytest.raises(OSError):
-        prepare_folder(tmp_path / 'file' / 'below')
 
 
 def test_the_interval_of_a_mean_is_that_of_the_central_limit_theorem():

@@ -3,6 +3,7 @@
 from contextlib import redirect_stdout
 import io
 import json
+import shutil
 
 import pytest
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
@@ -76,6 +77,22 @@ def test_the_number_of_runs_can_be_given(tmp_path):
                  '--out', str(tmp_path)]) == 0
 
     assert json.loads((tmp_path / 'period_factor.json').read_text())['runs'] == 3
+
+
+@pytest.mark.parametrize('name', ['ts_mcl_time', 'grey_straight', 'coop_time', 'adaptive_track'])
+def test_results_can_be_judged_and_drawn_again_without_running_anything(name, quick, tmp_path):
+    for kind in ('csv', 'json'):
+        shutil.copy(quick / f'{name}.{kind}', tmp_path)
+    assert main([name, '--quick', '--again', '--out', str(tmp_path)]) == 0
+
+    new, old = (json.loads((folder / f'{name}.json').read_text()) for folder in (tmp_path, quick))
+    assert new == old
+    assert (tmp_path / f'{name}.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_results_of_full_size_are_not_there_after_a_quick_run(quick, capsys):
+    assert main([NAME, '--again', '--out', str(quick)]) == 1
+    assert 'was made with other settings' in capsys.readouterr().err
 
 
 def test_the_page_can_be_written_again_elsewhere_without_running_anything(quick, capsys, tmp_path):

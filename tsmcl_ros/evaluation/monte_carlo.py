@@ -11,16 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
-import json
+from dataclasses import dataclass
 import math
 import multiprocessing
 import os
 from pathlib import Path
-import platform
 import signal
-import tempfile
 import time
 from typing import Any, NamedTuple, Protocol
 
@@ -192,64 +188,6 @@ def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
     return [Result(cases[case], run, outcomes[case, run]) for case, run in tasks]
 
 
-def write_results(folder: Path, name: str, experiment: Experiment, results: Sequence[Result],
-                  report: Report, record: Mapping[str, Any]) -> list[str]:
-    """
-    Write NAME.csv with the rows, NAME.json with what made them and what they show, and NAME.png.
-
-    Parameters
-    ----------
-    folder : Path
-        It exists; files of the same names are overwritten.
-    name : str
-        Of the experiment.
-    experiment, results, report
-        What was tried, what came of it, and what it shows.
-    record : mapping
-        What else belongs into the JSON file, such as the seed.
-
-    Returns
-    -------
-    list of str
-        Names of the files; the figure is missing where matplotlib is.
-    """
-    _write_rows(folder / f'{name}.csv', results)
-    document = {
-        'experiment': name,
-        'title': experiment.title,
-        **record,
-        'versions': {'tsmcl_ros': _version(), 'numpy': np.__version__,
-                     'python': platform.python_version()},
-        'config': asdict(experiment),  # type: ignore[call-overload]
-        'cases': [dict(case) for case in experiment.cases()],
-        'table': report.table,
-        'findings': [asdict(finding) for finding in report.findings],
-    }
-    (folder / f'{name}.json').write_text(json.dumps(document, indent=2) + '\n', encoding='utf-8')
-    written = [f'{name}.csv', f'{name}.json']
-    try:
-        experiment.draw(results, folder / f'{name}.png')
-    except ModuleNotFoundError as error:
-        if (error.name or '').partition('.')[0] != 'matplotlib':
-            raise
-        return written
-    return [*written, f'{name}.png']
-
-
-def prepare_folder(folder: Path) -> None:
-    """
-    Make a folder and hold that files can be written there, before hours are spent.
-
-    Raises
-    ------
-    OSError
-        If they cannot.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        pass
-
-
 def processors() -> int:
     """Return the number of processors that this process may use."""
     if hasattr(os, 'sched_getaffinity'):
@@ -329,33 +267,6 @@ def _work_in_parallel(tasks: Mapping[Any, tuple[Experiment, Case, int, int]], wo
             process.terminate()
         raise
     pool.shutdown()
-
-
-def _write_rows(path: Path, results: Sequence[Result]) -> None:
-    """Write the rows of all results as CSV, each led by its case and run."""
-    with path.open('w', encoding='utf-8', newline='') as file:
-        for index, result in enumerate(results):
-            rows = result.outcome.rows
-            if index == 0:
-                file.write(','.join([*result.case, 'run', *rows]) + '\n')
-            lead = ','.join([*map(str, result.case.values()), str(result.run)])
-            columns = [_texts(column) for column in rows.values()]
-            file.writelines(f'{lead},{",".join(cells)}\n' for cells in zip(*columns, strict=True))
-
-
-def _version() -> str:
-    """Return the package's version; sources that were never installed do not know it."""
-    try:
-        return version('tsmcl_ros')
-    except PackageNotFoundError:
-        return 'not installed'
-
-
-def _texts(column: Array) -> list[str]:
-    """Return a column's cells: floats to six digits, nothing where they are not known."""
-    if column.dtype.kind == 'f':
-        return ['' if math.isnan(value) else f'{value:.6g}' for value in column.tolist()]
-    return [str(value) for value in column.tolist()]
 
 
 class Stopwatch:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import json
 import os
 from pathlib import Path
 from typing import Any
 
+from tsmcl_ros.evaluation.results import read_document
 from tsmcl_ros.types import TsmclError
 
 _INTRODUCTION = """# What the papers say, and what we measure
@@ -41,7 +41,7 @@ def write_reproduction(folder: Path, names: Sequence[str], page: Path) -> list[s
     TsmclError
         If there are no results at all, or a file is not one of an experiment.
     """
-    documents = {name: _read(folder / f'{name}.json') for name in names
+    documents = {name: read_document(folder / f'{name}.json') for name in names
                  if (folder / f'{name}.json').is_file()}
     if not documents:
         raise TsmclError(f'{folder}: holds no results of experiments, must hold at least one '
@@ -54,18 +54,6 @@ def write_reproduction(folder: Path, names: Sequence[str], page: Path) -> list[s
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text('\n'.join(lines), encoding='utf-8')
     return [name for name in names if name not in documents]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding='utf-8'))
-        found = {'title', 'findings', 'table', 'seed', 'runs', 'quick'} <= document.keys()
-    except (ValueError, AttributeError):
-        found = False
-    if not found:
-        raise TsmclError(f'{path}: is not what `experiment` writes; remove it or run the '
-                         'experiment again')
-    return dict(document)
 
 
 def _summary(documents: dict[str, dict[str, Any]]) -> Iterator[str]:

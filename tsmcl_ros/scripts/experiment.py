@@ -7,17 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.evaluation.monte_carlo import (
     Experiment,
-    prepare_folder,
     processors,
     Report,
+    Result,
     run_experiment,
-    write_results,
 )
 from tsmcl_ros.evaluation.reproduction import write_reproduction
+from tsmcl_ros.evaluation.results import prepare_folder, read_results, write_results
 from tsmcl_ros.scripts.cli import align, run_script
 
 
@@ -48,13 +49,9 @@ def _experiment(arguments: Sequence[str] | None) -> None:
 
 
 def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None:
-    runs = options.runs or experiment.runs
-    begin = time.monotonic()
-    results = run_experiment(experiment, options.seed, runs, options.workers, not options.quiet)
-    duration = time.monotonic() - begin
+    results, record = (read_results(options.out, name, experiment) if options.again
+                       else _measure(experiment, options))
     report = experiment.judge(results)
-    record = {'quick': options.quick, 'seed': options.seed, 'runs': runs,
-              'workers': options.workers, 'duration_s': round(duration, 1)}
     written = write_results(options.out, name, experiment, results, report, record)
     print(f'{name}: {experiment.title}\n\n{format_report(report)}\n')
     if options.quick:
@@ -62,7 +59,19 @@ def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None
     if f'{name}.png' not in written:
         print('note: no figure, as matplotlib is missing: pip install tsmcl_ros[plot]',
               file=sys.stderr)
-    print(f'{", ".join(written)} are in {options.out}, after {duration:.0f} s')
+    print(f'{", ".join(written)} are in {options.out}, '
+          f'after {record["duration_s"]:.0f} s')
+
+
+def _measure(experiment: Experiment, options: argparse.Namespace
+             ) -> tuple[list[Result], dict[str, Any]]:
+    """Run an experiment; return its results, and what is to be told of the run."""
+    runs = options.runs or experiment.runs
+    begin = time.monotonic()
+    results = run_experiment(experiment, options.seed, runs, options.workers, not options.quiet)
+    return results, {
+        'quick': options.quick, 'seed': options.seed, 'runs': runs, 'workers': options.workers,
+        'duration_s': round(time.monotonic() - begin, 1)}
 
 
 def format_report(report: Report) -> str:
@@ -86,6 +95,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--list', action='store_true', help='say what there is, and end')
     parser.add_argument('--quick', action='store_true',
                         help='a small version that takes seconds and proves nothing')
+    parser.add_argument('--again', action='store_true',
+                        help='judge and draw anew the results that are there; run nothing')
     parser.add_argument('--runs', type=_positive, metavar='N',
                         help="Monte-Carlo runs of each case (default: the experiment's)")
     parser.add_argument('--workers', type=_positive, default=processors(), metavar='N',

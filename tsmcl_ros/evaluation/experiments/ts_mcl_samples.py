@@ -249,7 +249,7 @@ class TsMclRadius(HeardOnly):
                 findings.append(goal(
                     f'N = {count}, R = {reach:g} m: error of TS-MCL over that of MCL',
                     outcomes.ratio({'filter': 'ts_mcl', **there}, mcl), 0.9,
-                    limit=f'exact filter over MCL {limit}'))
+                    limit=f'exact filter over MCL {limit}', best=limit))
         return findings
 
     def draw(self, results: Sequence[Result], path: Path) -> None:
