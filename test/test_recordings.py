@@ -1,5 +1,6 @@
 """Recordings of other people's radios through the localizer, to the accuracy that is promised."""
 
+from functools import cache
 import json
 from pathlib import Path
 
@@ -70,6 +71,7 @@ def without_wheels(shared_data):
     log = csv_log.read_log(shared_data / 'plaza1')
     epochs = [epoch for epoch in log.epochs(0.5) if 620 < epoch.stamp < 1110]
 
+    @cache
     def follow(predictor):
         localizer = Localizer({'outage_predictor': predictor, 'seed': 1})
         localizer.anchor_map(log.anchors)
@@ -88,8 +90,10 @@ def without_wheels(shared_data):
     return follow
 
 
-def test_plaza1_without_odometry_is_not_led_astray_by_its_last_velocity(without_wheels):
-    stamp, forgotten, _ = without_wheels('velocity')
+@pytest.mark.parametrize('predictor', ['velocity', 'grey_ekf'])
+def test_plaza1_without_odometry_is_not_led_astray_by_its_last_velocity(
+        without_wheels, predictor):
+    stamp, forgotten, _ = without_wheels(predictor)
     _, kept, _ = without_wheels('none')
     within = (stamp > 948) & (stamp < 1043)
     assert within.sum() == 48
@@ -97,8 +101,10 @@ def test_plaza1_without_odometry_is_not_led_astray_by_its_last_velocity(without_
     assert forgotten[within].max() < 40
 
 
-def test_plaza1_without_odometry_is_honest_before_during_and_after_the_outage(without_wheels):
-    stamp, _, nees = without_wheels('velocity')
+@pytest.mark.parametrize('predictor', ['velocity', 'grey_ekf'])
+def test_plaza1_without_odometry_is_honest_before_during_and_after_the_outage(
+        without_wheels, predictor):
+    stamp, _, nees = without_wheels(predictor)
     low, high = nees_band(2, 1)  # epochs of one outage are one sample
     for begin, end in ((660, 947), (948, 1043), (1044, 1110)):
         assert low < nees[(stamp > begin) & (stamp < end)].mean() < high

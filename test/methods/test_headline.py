@@ -46,7 +46,7 @@ def run_world(seed: int, max_iterations: int) -> tuple[np.ndarray, np.ndarray, i
     known.learn_map(world.anchors)
     method = TsMcl(
         TsMclConfig(min_particles=200, max_particles=2000, max_iterations=max_iterations,
-                    aspiration=0.9, prior_bandwidth=0.3),
+                    aspiration=0.9, prior_bandwidth=0.2),
         Channel(RadioConfig(radio_range=1000.0, edge_softness=1.0), EvidenceConfig()),
         motion_model(MotionConfig(motion_model='odometry', odom_heading='known', odom_std=0.5,
                                   alpha3=0.0, alpha4=0.0), 2, True),

@@ -23,7 +23,7 @@ from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, P
 
 # Kernels that the density of a cloud is estimated by, and the most that a particle's weight grows
 # where it says that too few of them are.
-_KERNELS = 64
+_KERNELS = 128
 _MOST_FAVOURED = 20.0
 
 # Improves points (M, D) [m] and their log-likelihoods (M,), given the vehicles (M,), a length

@@ -16,7 +16,7 @@ NODES = (Anchor, Simulator, Fleet)
 
 # What config/range_free.yaml holds but the method: an installed demo finds no such files.
 LOCALIZER = {
-    'min_particles': 200, 'max_particles': 2000, 'aspiration': 0.9, 'prior_bandwidth': 0.3,
+    'min_particles': 200, 'max_particles': 2000, 'aspiration': 0.9, 'prior_bandwidth': 0.2,
     'motion_model': 'odometry',
     'odom_heading': 'known', 'odom_std': 0.5, 'alpha3': 0.0, 'alpha4': 0.0,
     'radio_model': 'disk', 'radio_range': 1000.0, 'edge_softness': 1.0, 'silence': 'map',

@@ -21,7 +21,7 @@ _SCORING = {**RADIO, 'edge_softness': 1.0}
 _RANDOM = {**_SCORING, 'motion_model': 'random', 'max_speed': SPEED}
 _DRIVEN = {
     **_SCORING, 'motion_model': 'odometry', 'odom_heading': 'known', 'odom_std': 0.5,
-    'alpha3': 0.0, 'alpha4': 0.0, 'aspiration': 0.9, 'prior_bandwidth': 0.3}
+    'alpha3': 0.0, 'alpha4': 0.0, 'aspiration': 0.9, 'prior_bandwidth': 0.2}
 
 # What a vehicle knows of its own movement and of the anchors that it does not hear. The last one
 # is config/range_free.yaml without its method.
