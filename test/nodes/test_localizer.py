@@ -124,9 +124,10 @@ def begin(ros: Ros, probe_class: Any, tmp_path: Path) -> Iterator[Callable[..., 
         node.close()
 
 
-def offline(sent: list[dict[str, bytes]], scene: World, names: list[str]) -> list[bytes]:
+def offline(sent: list[dict[str, bytes]], scene: World, names: list[str], **settings: object
+            ) -> list[bytes]:
     """Return the poses that the localizer gives in process for the same messages."""
-    endpoint = Endpoint(Localizer(PARAMETERS, len(names)), names)
+    endpoint = Endpoint(Localizer(PARAMETERS | settings, len(names)), names)
     endpoint.inputs['/anchor_map'][1](messages.encode_beacons(scene.anchors, 'map')[0])
     poses = []
     for epoch in sent:
@@ -152,6 +153,25 @@ def test_poses_are_those_of_the_localizer_in_process_and_late_joiners_get_the_la
     late = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
     scene.until(lambda: bool(late), 'the last pose')
     assert late == poses[-1:]
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_every_method_gives_the_same_poses_over_dds_as_in_process(
+    begin: Callable[..., Scene], method: str,
+) -> None:
+    settings: dict[str, object] = {'method': method}
+    if method == 'grid':
+        settings |= {'motion_model': 'random', 'grid_cell': 50.0, 'grid_x_max': 3000.0,
+                     'grid_y_max': 3000.0}
+    scene = begin(**settings)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(measure_range=True, range_std=5.0), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    sent = []
+    for _ in range(3):
+        sent.append(source.step())
+        scene.until(lambda: len(poses) == len(sent), 'a pose')
+    assert poses == offline(sent, source.world, ['/veh_0'], **settings)
 
 
 @pytest.mark.parametrize('method', ['cooperative', 'nbp'])
