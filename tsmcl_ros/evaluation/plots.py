@@ -255,7 +255,7 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
 
 def intervals_against(
     ax: Axes, curves: Mapping[str, tuple[Sequence[float], Sequence[Interval]]], x_label: str,
-    y_label: str,
+    y_label: str, log: bool = False,
 ) -> None:
     """
     Draw quantities with their intervals against what was varied.
@@ -268,6 +268,8 @@ def intervals_against(
         Of the same length.
     x_label, y_label : str
         With units.
+    log : bool
+        Both axes are logarithmic; else what is drawn begins at 0.
     """
     for index, (label, (x, intervals)) in enumerate(curves.items()):
         value, low, high = np.array(intervals).T
@@ -275,7 +277,13 @@ def intervals_against(
         ax.plot(x, value, label=_shown(label), linewidth=1.3, marker='.' if len(x) < 50 else '',
                 **style)
         ax.fill_between(x, low, high, color=style.get('color'), alpha=0.15, linewidth=0)
-    ax.set_ylim(bottom=0)
+    if log:
+        x = [point for points, _ in curves.values() for point in points]
+        y = [bound for _, intervals in curves.values() for each in intervals for bound in each]
+        for axis, drawn in (('x', x), ('y', y)):
+            _make_logarithmic(ax, axis, min(drawn) / 1.1, 1.1 * max(drawn))
+    else:
+        ax.set_ylim(bottom=0)
     _label(ax, x_label, y_label)
     _legend(ax)
 

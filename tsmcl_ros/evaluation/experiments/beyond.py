@@ -128,8 +128,8 @@ class Beyond:
             limit = bootstrap_interval(rmse, best.late)
             shown[best.localizer] = (
                 self.particles, [limit] * len(self.particles))
-            plots.intervals_against(ax, shown, f'particles, {SHOWN[evidence]}', 'RMSE [m]')
-            ax.set_xscale('log')
+            plots.intervals_against(ax, shown, f'particles ({SHOWN[evidence]})', 'RMSE [m]',
+                                    log=True)
         plots.save_png(figure, path)
 
     def _yardstick(self, evidence: str) -> tuple[str, int]:
