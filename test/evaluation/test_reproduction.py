@@ -1,10 +1,16 @@
 """The page of claims, from the files that experiments leave."""
 
+from dataclasses import asdict
 import json
+from pathlib import Path
+import shutil
 
 import pytest
+from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.evaluation.reproduction import write_reproduction
 from tsmcl_ros.types import TsmclError
+
+DOCS = Path(__file__).parents[2] / 'docs'
 
 
 def document(**changes):
@@ -73,3 +79,18 @@ def test_a_file_that_is_none_of_an_experiment_is_refused_by_name(folder, tmp_pat
 
     with pytest.raises(TsmclError, match=r'first\.json: is not what'):
         write_reproduction(folder, ['first'], tmp_path / 'page.md')
+
+
+def test_the_page_of_the_documentation_is_that_of_all_experiments_at_full_size(tmp_path):
+    copied = shutil.copytree(DOCS / 'reproduction', tmp_path / 'docs' / 'reproduction')
+    page = tmp_path / 'docs' / 'reproduction.md'
+
+    assert write_reproduction(copied, list(EXPERIMENTS), page) == []
+    assert page.read_text() == (DOCS / 'reproduction.md').read_text()
+    assert 'a quick run' not in page.read_text()
+
+
+@pytest.mark.parametrize('name', EXPERIMENTS)
+def test_every_experiment_of_the_documentation_was_made_with_its_present_sizes(name):
+    document = json.loads((DOCS / 'reproduction' / f'{name}.json').read_text())
+    assert document['config'] == json.loads(json.dumps(asdict(EXPERIMENTS[name][0])))
