@@ -33,8 +33,11 @@ _ros_home: str | None = None
 
 
 def pytest_configure() -> None:
-    """Give this process a ROS of its own, before anything imports rclpy."""
+    """Give this process a ROS of its own, before anything imports rclpy, and its interrupts."""
     global _ros_home
+    # Shells have the processes that they start in the background ignore interrupts.
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     _ros_home = tempfile.mkdtemp(prefix='tsmcl_ros_test_')
     os.environ.update(
         ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
