@@ -59,12 +59,15 @@ class Ekf(GaussianFilter):
     def update(self, observation: Observation) -> Estimate:
         """Take in what was heard, and tell how often to be heard."""
         heard = observation.heard.any(axis=1)
-        ranged = self.placed & self.channel.distances(observation)[2].any(axis=1)
-        surprise = self.surprise(observation)
+        distance, std, used = self.channel.distances(observation)
+        ranged = self.placed & used.any(axis=1)
         normalized = self.config.period_residual == 'normalized'
+        if normalized or self.config.notice_turns:
+            surprise = self.surprise(observation, distance, std, used)
         residual = np.where(
-            ranged, surprise if normalized else self.residual(observation), np.inf)
-        self._turn(ranged & (surprise > _TURNED))
+            ranged, surprise if normalized else self.residual(observation, distance, used), np.inf)
+        if self.config.notice_turns:
+            self._turn(ranged & (surprise > _TURNED))
         lost = self.take_in(observation)
         residual[lost] = np.inf
         self._unheard = np.where(heard, 0, self._unheard)
@@ -74,17 +77,15 @@ class Ekf(GaussianFilter):
         return self.estimate(
             observation, lost, self._period_factor if self.config.asks else None)
 
-    def residual(self, observation: Observation) -> Array:
-        """Return sum |z - z_hat| (V,) [m] over the ranges as predicted, inf if there are none."""
-        distance, _, used = self.channel.distances(observation)
+    def residual(self, observation: Observation, distance: Array, used: Array) -> Array:
+        """Return sum |z - z_hat| (V,) [m] over the ranges (V, K) that are used, as predicted."""
         position = self.beliefs.mean[:, None, :self.dimension]
         expected = np.linalg.norm(position - observation.position, axis=2)
-        total = np.where(used, np.abs(distance - expected), 0).sum(axis=1)
-        return np.where(used.any(axis=1), total, np.inf)
+        return np.asarray(np.where(used, np.abs(distance - expected), 0).sum(axis=1))
 
-    def surprise(self, observation: Observation) -> Array:
-        """Return by how much the ranges contradict the predictions (V,), as minus a log."""
-        distance, std, used = self.channel.distances(observation)
+    def surprise(self, observation: Observation, distance: Array, std: Array, used: Array
+                 ) -> Array:
+        """Return by how much the ranges (V, K) contradict the predictions (V,), as minus a log."""
         size = self.dimension
         spread = np.trace(observation.covariance, axis1=2, axis2=3) / size
         return gaussian.surprise(
@@ -93,5 +94,5 @@ class Ekf(GaussianFilter):
 
     def _turn(self, turned: Array) -> None:
         """Let vehicles (V,) bool have got a new velocity since they were heard."""
-        if self.config.notice_turns and isinstance(self.kinematics, Cruising):
-            self.beliefs.covariance[turned] += self.kinematics.turn(self._unheard[turned])
+        assert isinstance(self.kinematics, Cruising)
+        self.beliefs.covariance[turned] += self.kinematics.turn(self._unheard[turned])

@@ -25,9 +25,9 @@ from tsmcl_ros.model.kernel import Kernel
 from tsmcl_ros.model.motion import MotionModel, RandomMotion
 from tsmcl_ros.model.particles import (
     effective_sample_size,
+    even_resample,
     normalize,
     systematic_resample,
-    z_order,
 )
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.rejection import RedrawingFilter
@@ -160,10 +160,8 @@ class RMcl(RedrawingFilter):
     def _keep(self, vehicle: Array, states: Array, posterior: Array) -> None:
         """Draw the particles of vehicles (W,) from candidates (W, C, D + extra) by weight."""
         cloud, dimension = self.cloud, self.cloud.dimension
-        order = z_order(states[:, :, :dimension])
-        index = np.take_along_axis(order, systematic_resample(
-            np.take_along_axis(posterior, order, axis=1), cloud.weights.shape[1], self.rng),
-            axis=1)
+        index = even_resample(
+            states[:, :, :dimension], posterior, cloud.weights.shape[1], self.rng)
         kept = np.take_along_axis(states, index[:, :, None], axis=1)
         position = kept[:, :, :dimension]
         copy = np.diff(index, axis=1, prepend=-1) == 0

@@ -12,11 +12,11 @@ from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
     effective_sample_size,
+    even_resample,
     kernel_density,
     moments,
     normalize,
     systematic_resample,
-    z_order,
 )
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
@@ -191,11 +191,7 @@ class Cloud:
             Which candidates the particles are.
         """
         index = systematic_resample(weights, self.weights.shape[1], self.rng)
-        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
-            candidates, index[:, :, None], axis=1)
-        self._equalize(vehicle)
-        self.placed[vehicle] = True
-        self._drawn[vehicle] = True
+        self._take(vehicle, candidates, index)
         return index
 
     def weigh(self, log_likelihood: Array) -> None:
@@ -291,11 +287,17 @@ class Cloud:
                 np.repeat(spread(candidates), many)[scarce], evidence)
             weights, _ = normalize(likelihood.reshape(shape[:2]))
         points = flat.reshape(shape)
-        order = z_order(points)
-        self.fill(vehicle, np.take_along_axis(points, order[:, :, None], axis=1),
-                  np.take_along_axis(weights, order, axis=1))
+        self._take(vehicle, points, even_resample(points, weights, few, self.rng))
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
         self._doubts[vehicle] = 0
+
+    def _take(self, vehicle: Array, candidates: Array, index: Array) -> None:
+        """Make those of some vehicles' candidates (W, P, D) that (W, N) indices say particles."""
+        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
+            candidates, index[:, :, None], axis=1)
+        self._equalize(vehicle)
+        self.placed[vehicle] = True
+        self._drawn[vehicle] = True
 
     def _equalize(self, vehicle: Array | int) -> None:
         """Give some vehicles' particles equal weights."""

@@ -65,6 +65,17 @@ def z_order(points: Array) -> Array:
     return np.argsort(key, axis=1, kind='stable')
 
 
+def even_resample(points: Array, weights: Array, count: int, rng: np.random.Generator) -> Array:
+    """
+    Return indices (V, count) of points (V, P, D) resampled systematically in their `z_order`.
+
+    Weights are (V, P).
+    """
+    order = z_order(points)
+    index = systematic_resample(np.take_along_axis(weights, order, axis=1), count, rng)
+    return np.take_along_axis(order, index, axis=1)
+
+
 def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
     """
     Return the mean of Gaussian kernels at points (V, P, D), (V, P) float32 above 0.

@@ -90,11 +90,10 @@ class Beyond:
         settings: dict[str, Any] = (
             exact_grid(self.grid_cell, self.grid_margin) if method == 'exact'
             else particle_method(method, count, self.first * count))
-        few = (method, count) == self._yardstick(evidence)
         track = follow(
             world, Localizer({**EVIDENCE[evidence], **settings,
                               'seed': int(filter_seed.generate_state(1)[0])},
-                             self.yardstick_vehicles if few else self.vehicles),
+                             self._vehicles(evidence, method, count)),
             self.epochs, has_odometry(evidence))
         return Outcome(as_rows('epoch', 'vehicle', error_m=track.error, nees=track.nees),
                        track.seconds)
@@ -146,12 +145,14 @@ class Beyond:
 
     def _followed(self, curve: Curve) -> Any:
         """Return the late errors (T, U) [m] of those vehicles that yardsticks are run for."""
-        error = curve.late.reshape(len(curve.late), self._worlds(curve), -1)
+        followed = self._vehicles(curve.evidence, curve.filter, curve.particles)
+        error = curve.late.reshape(len(curve.late), -1, followed)
         return error[:, :, :self.yardstick_vehicles].reshape(len(error), -1)
 
-    def _worlds(self, curve: Curve) -> int:
-        full = (curve.filter, curve.particles) != self._yardstick(curve.evidence)
-        return int(curve.error.shape[1] // (self.vehicles if full else self.yardstick_vehicles))
+    def _vehicles(self, evidence: str, method: str, particles: int) -> int:
+        """Return how many vehicles of each world a filter is run for."""
+        yardstick = (method, particles) == self._yardstick(evidence)
+        return self.yardstick_vehicles if yardstick else self.vehicles
 
     def _worth(self, curves: Sequence[Curve]) -> Iterator[Finding]:
         """Say what silence and odometry take off the best error."""
