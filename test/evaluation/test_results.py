@@ -149,3 +149,19 @@ def test_rows_that_are_not_those_of_all_runs_are_refused(written):
     path.write_text(''.join(path.read_text().splitlines(keepends=True)[:-3]))
     with pytest.raises(TsmclError, match='holds rows of 3 runs, must hold those of 4'):
         read_results(written[0], 'draws', Draws())
+
+
+@pytest.mark.parametrize('text', [
+    '', 'no heading\n', 'scale,name,run,index,value\n1.0,a,0,0,much\n',
+    'scale,name,run,index,value\n1.0,a,0,0\n'])
+def test_a_file_that_holds_no_rows_is_refused(written, text):
+    (written[0] / 'draws.csv').write_text(text)
+    with pytest.raises(TsmclError, match='draws.csv: does not hold rows of results'):
+        read_results(written[0], 'draws', Draws())
+
+
+def test_rows_of_other_cases_are_refused(written):
+    path = written[0] / 'draws.csv'
+    path.write_text(path.read_text().replace('2.0,b,', '3.0,c,'))
+    with pytest.raises(TsmclError, match='that draws.json tells of'):
+        read_results(written[0], 'draws', Draws())

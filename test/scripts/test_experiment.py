@@ -90,6 +90,13 @@ def test_results_can_be_judged_and_drawn_again_without_running_anything(name, qu
     assert (tmp_path / f'{name}.png').read_bytes().startswith(b'\x89PNG')
 
 
+def test_results_that_are_there_have_their_number_of_runs(capsys, tmp_path):
+    with pytest.raises(SystemExit) as stop:
+        main([NAME, '--again', '--runs', '2', '--out', str(tmp_path)])
+    assert stop.value.code == 2
+    assert '--again judges the runs that are there' in capsys.readouterr().err
+
+
 def test_results_of_full_size_are_not_there_after_a_quick_run(quick, capsys):
     assert main([NAME, '--again', '--out', str(quick)]) == 1
     assert 'was made with other settings' in capsys.readouterr().err

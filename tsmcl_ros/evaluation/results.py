@@ -15,7 +15,7 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from tsmcl_ros.evaluation.monte_carlo import Experiment, Outcome, Report, Result
+from tsmcl_ros.evaluation.monte_carlo import Case, Experiment, Outcome, Report, Result
 from tsmcl_ros.types import Array, TsmclError
 
 # What the JSON file says of the run, beside what follows from the experiment and its results.
@@ -77,30 +77,20 @@ def read_results(folder: Path, name: str, experiment: Experiment
     Raises
     ------
     TsmclError
-        If there are none, or none of this experiment at this size.
+        If there are none, none of this experiment at this size, or not the rows of all runs.
     """
     path = folder / f'{name}.json'
     document = read_document(path)
-    if document.get('config') != _config(experiment) or 'seconds' not in document:
+    tasks = [(case, run) for case in experiment.cases() for run in range(document['runs'])]
+    seconds = document.get('seconds', [])
+    if document.get('config') != _config(experiment) or len(seconds) != len(tasks):
         raise TsmclError(f'{path}: was made with other settings or by another version; run the '
                          'experiment again')
-    runs = document['runs']
-    seconds = iter(document['seconds'])
-    with (folder / f'{name}.csv').open(encoding='utf-8', newline='') as file:
-        names, *rows = csv.reader(file)
-    lead = names.index('run') + 1
-    groups = [list(group) for _, group in groupby(rows, key=lambda row: row[:lead])]
-    tasks = [(case, run) for case in experiment.cases() for run in range(runs)]
-    if len(groups) != len(tasks):
-        raise TsmclError(f'{folder / name}.csv: holds rows of {len(groups)} runs, must hold those '
-                         f'of {len(tasks)}; run the experiment again')
-    results = [
-        Result(case, run, Outcome(
-            {name: _values(cells) for name, cells in zip(
-                names[lead:], zip(*(row[lead:] for row in group), strict=True), strict=True)},
-            next(seconds)))
-        for (case, run), group in zip(tasks, groups, strict=True)]
-    return results, {name: document[name] for name in RECORD}
+    rows = _read_rows(folder / f'{name}.csv', [_lead(case, run) for case, run in tasks])
+    return (
+        [Result(case, run, Outcome(columns, each))
+         for (case, run), columns, each in zip(tasks, rows, seconds, strict=True)],
+        {name: document[name] for name in RECORD})
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -145,9 +135,40 @@ def _write_rows(path: Path, results: Sequence[Result]) -> None:
         writer = csv.writer(file, lineterminator='\n')
         writer.writerow([*results[0].case, 'run', *results[0].outcome.rows])
         for result in results:
-            lead = [*map(str, result.case.values()), str(result.run)]
+            lead = _lead(result.case, result.run)
             columns = [_texts(column) for column in result.outcome.rows.values()]
             writer.writerows([*lead, *cells] for cells in zip(*columns, strict=True))
+
+
+def _read_rows(path: Path, leads: Sequence[list[str]]) -> list[dict[str, Array]]:
+    """
+    Return the columns of each result from a CSV file, whose rows begin with these leads.
+
+    Raises
+    ------
+    TsmclError
+        If they are others, or not such rows.
+    """
+    try:
+        with path.open(encoding='utf-8', newline='') as file:
+            heading, *rows = csv.reader(file)
+        lead = heading.index('run') + 1
+        found = [
+            (key, {name: _values(cells) for name, cells in zip(
+                heading[lead:], zip(*(row[lead:] for row in group), strict=True), strict=True)})
+            for key, group in groupby(rows, key=lambda row: row[:lead])]
+    except (ValueError, csv.Error):
+        raise TsmclError(f'{path}: does not hold rows of results; run the experiment again'
+                         ) from None
+    if [key for key, _ in found] != list(leads):
+        raise TsmclError(f'{path}: holds rows of {len(found)} runs, must hold those of '
+                         f'{len(leads)} that {path.stem}.json tells of; run the experiment again')
+    return [columns for _, columns in found]
+
+
+def _lead(case: Case, run: int) -> list[str]:
+    """Return the cells that the rows of a result begin with."""
+    return [*map(str, case.values()), str(run)]
 
 
 def _version() -> str:

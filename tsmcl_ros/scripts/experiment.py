@@ -36,6 +36,8 @@ def _experiment(arguments: Sequence[str] | None) -> None:
     if options.name is None:
         parser.error('an experiment is missing, must be one of all, report, '
                      f'{", ".join(EXPERIMENTS)}')
+    if options.again and options.runs:
+        parser.error('--again judges the runs that are there, and takes no --runs')
     if options.name != 'report':
         prepare_folder(options.out)
         for name in EXPERIMENTS if options.name == 'all' else [options.name]:
