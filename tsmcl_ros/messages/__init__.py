@@ -1,0 +1,66 @@
+"""
+Conversion between the package's values and serialized standard messages.
+
+This is the only place that knows field layouts, a module a family of messages. It works on
+serialized bytes, which is what raw subscriptions deliver, what publishers take as they are, and
+what bags hold: a node and an offline run go through the same code.
+"""
+
+from tsmcl_ros.messages.beacons import BEACON, decode_beacons, encode_beacons
+from tsmcl_ros.messages.clouds import MAX_COORDINATE, POINT_CLOUD
+from tsmcl_ros.messages.links import decode_links, encode_links, LINK
+from tsmcl_ros.messages.pacing import (
+    CLOCK,
+    decode_clock,
+    decode_period,
+    encode_clock,
+    encode_period,
+    UINT32,
+)
+from tsmcl_ros.messages.poses import (
+    decode_odometry,
+    decode_pose,
+    encode_odometry,
+    encode_pose,
+    encode_pose_array,
+    ODOMETRY,
+    POSE,
+    Pose,
+    POSE_ARRAY,
+    UNMEASURED,
+)
+from tsmcl_ros.messages.ranges import decode_range, encode_range, RANGE, RangeReading
+from tsmcl_ros.messages.trajectories import decode_odometries, decode_poses
+
+__all__ = [
+    'BEACON',
+    'CLOCK',
+    'decode_beacons',
+    'decode_clock',
+    'decode_links',
+    'decode_odometries',
+    'decode_odometry',
+    'decode_period',
+    'decode_pose',
+    'decode_poses',
+    'decode_range',
+    'encode_beacons',
+    'encode_clock',
+    'encode_links',
+    'encode_odometry',
+    'encode_period',
+    'encode_pose',
+    'encode_pose_array',
+    'encode_range',
+    'LINK',
+    'MAX_COORDINATE',
+    'ODOMETRY',
+    'POINT_CLOUD',
+    'Pose',
+    'POSE',
+    'POSE_ARRAY',
+    'RANGE',
+    'RangeReading',
+    'UINT32',
+    'UNMEASURED',
+]
