@@ -1,0 +1,36 @@
+"""Vehicles to be drawn, and what can be read back from the axes they were drawn on."""
+
+from functools import cache
+
+import numpy as np
+from tsmcl_ros.evaluation.metrics import compare
+from tsmcl_ros.types import Trajectory
+
+CLOCK = 1.77e9
+
+
+def vehicle(seed, stamp=None, scale=1.0):
+    """Return one vehicle's comparison with random errors, by default of 100 s on a real clock."""
+    rng = np.random.default_rng(seed)
+    truth_stamp = CLOCK + np.arange(101.0)
+    stamp = truth_stamp if stamp is None else CLOCK + np.asarray(stamp, float)
+    path = np.cumsum(rng.normal(0, 5, (101, 2)), axis=0)
+    found = np.column_stack([np.interp(stamp, truth_stamp, column) for column in path.T])
+    found += rng.normal(0, scale, found.shape)
+    covariance = np.tile(scale**2 * np.eye(2), (len(stamp), 1, 1))
+    return compare(
+        Trajectory(stamp, found, np.full(len(stamp), np.nan), covariance),
+        Trajectory(truth_stamp, path, np.zeros(101)))
+
+
+@cache
+def fleet(count):
+    return {f'veh_{index}': vehicle(index) for index in range(count)}
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def lines(ax):
+    return {line.get_label(): line for line in ax.get_lines()}
