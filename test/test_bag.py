@@ -97,6 +97,31 @@ def test_latched_topics_are_known_to_be(bag):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
+def test_what_a_bag_says_of_how_it_was_made_is_read_back(tmp_path, storage):
+    about = {'command': "make 'a bag'", 'localizer': '/**:\n  ros__parameters:\n    x: "1: 2"\n'}
+    with Writer(tmp_path / 'bag', storage, about) as bag:
+        bag.topic('/clock', messages.CLOCK)
+        bag.write('/clock', 1.0, messages.encode_clock(1.0))
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.about == about
+
+
+def test_a_bag_need_not_say_how_it_was_made(bag):
+    with Reader(bag) as reader:
+        assert reader.about == {}
+
+
+def test_what_others_say_of_how_they_made_a_bag_is_taken_as_text(bag):
+    metadata = bag / 'metadata.yaml'
+    text = metadata.read_text()
+    assert 'custom_data: null' in text
+    for custom, about in (('{a: 1}', {'a': '1'}), ('[1, 2]', {}), ('words', {})):
+        metadata.write_text(text.replace('custom_data: null', f'custom_data: {custom}'))
+        with Reader(bag) as reader:
+            assert reader.about == about
+
+
+@pytest.mark.parametrize('storage', STORAGES)
 def test_stamps_of_today_survive_as_the_doubles_that_they_are(tmp_path, storage):
     stamps = np.sort(TODAY + np.random.default_rng(0).uniform(0, 100, 200)).tolist()
     with Writer(tmp_path / 'bag', storage) as bag:

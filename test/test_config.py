@@ -221,6 +221,14 @@ def test_that_the_dump_is_commented_from_the_fields() -> None:
     assert '    power: 5.0  # how strong [kW]; a number above 0 kW' in dump_yaml(EngineConfig())
 
 
+def test_that_the_dump_needs_no_comments() -> None:
+    assert '    power: 5.0\n' in dump_yaml(EngineConfig(), commented=False)
+
+
+def test_that_a_parameter_of_two_configs_is_dumped_once() -> None:
+    assert dump_yaml(EngineConfig(), EngineConfig()) == dump_yaml(EngineConfig())
+
+
 def test_that_a_node_s_own_section_wins_over_the_common_one(tmp_path: Path) -> None:
     path = write(tmp_path, '\n'.join((
         '/**: {ros__parameters: {power: 1.0, cylinders: 2}}',

@@ -6,7 +6,7 @@ A bag is named by its folder, as rosbag2 does. Log times are float seconds, see 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -63,6 +63,8 @@ class Reader:
         Topics that late joiners get the last message of (transient local).
     start, duration : float
         Log time of the first message, and from it to the last [s].
+    about : dict of str to str
+        What the bag says of how it was made; see `Writer`.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -85,6 +87,9 @@ class Reader:
         for item in connections:
             self.counts[item.topic] += item.msgcount
         self.latched = {item.topic for item in connections if _is_latched(item)}
+        custom = self._bag.storage.metadata.custom
+        self.about = {str(key): str(value) for key, value in custom.items()} if isinstance(
+            custom, dict) else {}
         self.start = self._bag.start_time / _SECOND
         # The end that rosbags names is a nanosecond after the last message.
         self.duration = max(self._bag.duration - 1, 0) / _SECOND
@@ -143,9 +148,20 @@ class Writer:
     that raise KeyboardInterrupt wait while a record is being written.
     """
 
-    def __init__(self, path: str | Path, storage: str = 'mcap') -> None:
+    def __init__(self, path: str | Path, storage: str = 'mcap',
+                 about: Mapping[str, str] | None = None) -> None:
         """
         Create a bag and its parent folders.
+
+        Parameters
+        ----------
+        path : str or Path
+            The bag's folder.
+        storage : str
+            One of `STORAGES`.
+        about : mapping of str to str, optional
+            How the bag is made, left in it as rosbag2's custom data: `command` is a command line,
+            any other name what has parameters, with them as a ROS parameter file.
 
         Raises
         ------
@@ -171,6 +187,8 @@ class Writer:
                 )
                 self._bag.open()
                 self._open = True
+                for key, value in (about or {}).items():
+                    self._bag.set_custom_data(key, value)
         except KeyboardInterrupt:
             # A signal that waited: nobody else can close what nobody has yet.
             self.close()

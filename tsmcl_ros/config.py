@@ -259,15 +259,20 @@ def load_yaml(path: str | Path, node: str = '') -> dict[str, Any]:
     return values
 
 
-def dump_yaml(*configs: Config) -> str:
-    """Return a ROS parameter file, commented from the fields' documentation."""
-    lines = ['/**:', '  ros__parameters:']
+def dump_yaml(*configs: Config, commented: bool = True) -> str:
+    """
+    Return a ROS parameter file, by default commented from the fields' documentation.
+
+    A parameter that several configs inherit stands in it once.
+    """
+    lines: dict[str, str] = {}
     for config in configs:
         for item in parameters(type(config)):
-            value = getattr(config, item.attribute)
             unit = f' [{item.unit}]' if item.unit else ''
-            lines.append(f'    {item.name}: {_inline(value)}  # {item.doc}{unit}; {item.allowed}')
-    return '\n'.join(lines) + '\n'
+            comment = f'  # {item.doc}{unit}; {item.allowed}' if commented else ''
+            value = _inline(getattr(config, item.attribute))
+            lines.setdefault(item.name, f'    {item.name}: {value}{comment}')
+    return '\n'.join(['/**:', '  ros__parameters:', *lines.values()]) + '\n'
 
 
 def _inline(value: Any) -> str:

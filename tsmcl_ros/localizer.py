@@ -156,6 +156,12 @@ class Localizer:
             # Where method and motion do not fit, fail now rather than at the first epoch.
             self._make_method(False)
 
+    @property
+    def configs(self) -> tuple[Config, ...]:
+        """All that it is configured by."""
+        return (self.config, self.radio_config, self.evidence_config, self.motion_config,
+                self.method_config)
+
     def reset(self) -> None:
         """Forget everything but the configuration, the anchor map, and the anchors' links."""
         self._rng = np.random.Generator(np.random.SFC64(self.config.seed))

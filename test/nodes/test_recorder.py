@@ -90,6 +90,21 @@ def test_a_best_effort_burst_of_many_topics_is_recorded_without_loss(
         assert len(bag.counts) == 40
 
 
+def test_a_bag_says_by_which_command_and_parameters_it_was_recorded(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    talk = probe.talk('/odom', messages.ODOMETRY, RELIABLE)
+    recorder = record(start, 'exclude:=[/a]')
+    send(probe, talk, 1)
+    probe.expect(lambda: talk.wait_for_all_acked(), 'the acknowledgement')
+    recorder.stop()
+    with Reader(tmp_path / 'bag') as bag:
+        about = bag.about
+    assert about['command'] == (
+        "recorder --ros-args -p output:=bag -p 'exclude:=[/a]'")
+    assert '    exclude: ["/a"]\n' in about['recorder']
+
+
 def test_a_bag_is_never_overwritten(start: Start, tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'precious').write_text('data')

@@ -59,6 +59,12 @@ def test_one_line_tells_what_was_imported(log, tmp_path, capsys):
         '2 poses of ground truth\n')
 
 
+def test_the_bag_says_by_which_command_it_was_made(log, tmp_path):
+    main([str(log), str(tmp_path / 'bag'), '--epoch', '1'])
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.about == {'command': f'import_csv {log} {tmp_path / "bag"} --epoch 1'}
+
+
 def test_options_choose_epoch_storage_and_vehicle(log, tmp_path, capsys):
     main([str(log), str(tmp_path / 'bag'), '--epoch', '0.2', '--storage', 'sqlite3', '--id', '7'])
     assert '3 beacons in 3 epochs' in capsys.readouterr().out
@@ -112,9 +118,12 @@ def test_wrong_usage_is_exit_code_2(arguments, capsys):
     assert 'usage: import_csv' in capsys.readouterr().err
 
 
-def test_the_same_log_gives_the_same_bag(log, tmp_path):
+def test_the_same_log_gives_the_same_bag(log, tmp_path, monkeypatch):
     for name in ('a', 'b'):
-        main([str(log), str(tmp_path / name / 'bag')])
+        (tmp_path / name).mkdir()
+        # The command that made it is part of the bag.
+        monkeypatch.chdir(tmp_path / name)
+        main([str(log), 'bag'])
     assert filecmp.cmp(tmp_path / 'a/bag/bag.mcap', tmp_path / 'b/bag/bag.mcap', shallow=False)
 
 

@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader, Writer
+from tsmcl_ros.config import load_yaml
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.scripts.localize_bag import main
 from tsmcl_ros.types import Observation, Odometry
@@ -97,6 +98,27 @@ def test_a_pose_is_written_for_every_epoch(bag, tmp_path):
 def test_one_line_says_what_was_made(bag, tmp_path, capsys):
     localize(bag, tmp_path / 'out')
     assert capsys.readouterr() == (f'{tmp_path}/out: 11 poses, vehicles: 1\n', '')
+
+
+def test_the_bag_says_by_which_command_and_parameters_it_was_made(bag, tmp_path):
+    localize(bag, tmp_path / 'out', '--seed', '3')
+    with Reader(tmp_path / 'out') as reader:
+        about = reader.about
+    assert about['command'].startswith(f'localize_bag {bag} --out {tmp_path / "out"}')
+    (tmp_path / 'params.yaml').write_text(about['localizer'])
+    parameters = load_yaml(tmp_path / 'params.yaml')
+    assert (parameters['seed'], parameters['max_particles']) == (3, 200)
+    assert about.keys() == {'command', 'localizer'}
+
+
+def test_the_bag_says_how_the_old_one_was_made(tmp_path):
+    with Writer(tmp_path / 'drive', about={'command': 'simulate'}) as writer:
+        for stamp, topic, kind, data in drive(seconds=1):
+            writer.topic(topic, kind)
+            writer.write(topic, stamp, data)
+    localize(tmp_path / 'drive', tmp_path / 'out')
+    with Reader(tmp_path / 'out') as reader:
+        assert reader.about['input: command'] == 'simulate'
 
 
 def test_anchors_beacons_and_truth_are_carried_over_as_they_are(bag, tmp_path):

@@ -10,8 +10,9 @@ import sys
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from tsmcl_ros.bag import STORAGES, Writer
-from tsmcl_ros.config import build, Config, param
+from tsmcl_ros.config import build, Config, dump_yaml, param
 from tsmcl_ros.nodes import runtime
+from tsmcl_ros.scripts.cli import command_line
 from tsmcl_ros.types import BagError, ConfigError, MessageError
 
 # Time of a replay is its own, and the rest is ROS talking to itself.
@@ -56,7 +57,10 @@ class Recorder(runtime.Node):
         self._early: list[tuple[str, bytes]] = []
         self._counts: dict[str, int] = {}
         self._begin = math.nan
-        self._bag = Writer(Path(self._config.output), self._config.storage)
+        self._bag = Writer(Path(self._config.output), self._config.storage, {
+            'command': command_line(self.default_name, None),
+            self.default_name: dump_yaml(self._config, commented=False),
+        })
         self.get_logger().info(f'recording to {self._config.output}')
 
     def run(self) -> None:

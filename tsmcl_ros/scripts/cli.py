@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+import shlex
 import signal
 import sys
 import threading
@@ -50,6 +51,11 @@ def run_script(
             reason = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
         print(f'error: {" ".join(reason.splitlines())}', file=sys.stderr)
         return 1
+
+
+def command_line(script: str, arguments: Sequence[str] | None) -> str:
+    """Return the command line of a script that was called so, None as in `run_script`."""
+    return shlex.join([script, *(sys.argv[1:] if arguments is None else arguments)])
 
 
 def align(rows: Sequence[Sequence[str]], left: int = 1) -> str:

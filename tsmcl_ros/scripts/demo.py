@@ -16,7 +16,6 @@ import math
 import os
 from pathlib import Path
 import re
-import shlex
 import signal
 import socket
 import subprocess
@@ -29,7 +28,7 @@ from tsmcl_ros.bag import STORAGES
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.watch import Watch
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
 from tsmcl_ros.scripts.scenario import RANGE_FREE, read_scenario, Scenario
 from tsmcl_ros.types import ConfigError, TsmclError
@@ -157,8 +156,7 @@ def _report(
     skip = duration / 2 if options.skip is None else options.skip
     found = read_all(list(runs.values()), list(runs), skip)
     print(format_table(found))
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    written = write_evaluation(out, found, shlex.join(['demo', *given]), {
+    written = write_evaluation(out, found, command_line('demo', arguments), {
         'vehicles': options.vehicles,
         'simulated time': f'{duration:g} s, the first {skip:g} s of it left out',
         'seed': options.seed,

@@ -8,7 +8,6 @@ import json
 import math
 from pathlib import Path
 import re
-import shlex
 import sys
 from typing import Any
 
@@ -22,7 +21,7 @@ from tsmcl_ros.evaluation.metrics import (
     write_tum,
 )
 from tsmcl_ros.evaluation.recording import read_runs, Run
-from tsmcl_ros.scripts.cli import align, run_script
+from tsmcl_ros.scripts.cli import align, command_line, run_script
 from tsmcl_ros.types import BagError
 
 
@@ -146,13 +145,13 @@ def _evaluate(arguments: Sequence[str] | None) -> None:
             print(f'note: {run.label}: {note}', file=sys.stderr)
     print(format_table(runs, mean))
     folder = options.out or _default_folder(options.bags)
-    given = sys.argv[1:] if arguments is None else list(arguments)
     parameters = {
         'bags': ', '.join(options.bags),
         'left out at the start (--skip)': f'{options.skip:g} s',
         'an estimate is available up to an age of (--max-age)': f'{options.max_age:g} s',
     }
-    written = write_evaluation(folder, runs, shlex.join(['evaluate', *given]), parameters, mean)
+    command = command_line('evaluate', arguments)
+    written = write_evaluation(folder, runs, command, parameters, mean)
     if 'report.html' not in written:
         print('note: no report.html, as matplotlib is missing: pip install tsmcl_ros[plot]',
               file=sys.stderr)

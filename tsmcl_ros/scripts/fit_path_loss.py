@@ -6,12 +6,11 @@ import argparse
 from collections.abc import Sequence
 import math
 from pathlib import Path
-import shlex
 import sys
 
 from tsmcl_ros.csv_log import read_log
 from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join, Samples
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import LogError
 
 
@@ -27,9 +26,8 @@ def _fit(arguments: Sequence[str] | None) -> None:
     for identity, reason in left.items():
         print(f'note: anchor {identity} has the path loss of all together: {reason}',
               file=sys.stderr)
-    given = sys.argv[1:] if arguments is None else list(arguments)
     text = (f'# Path losses fitted to {pooled.beacons} beacons of {len(single) + len(left)} '
-            f'anchors, P_0 at 1 m:\n#     {shlex.join(["fit_path_loss", *given])}\n'
+            f'anchors, P_0 at 1 m:\n#     {command_line("fit_path_loss", arguments)}\n'
             + as_parameters(pooled, single, options.inflate))
     if options.out is None:
         print(text, end='')

@@ -12,7 +12,7 @@ import sys
 from tsmcl_ros import messages
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.csv_log import CsvLog, read_log
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import Observation, Odometry, Trajectory
 
 Record = tuple[float, str, bytes]
@@ -32,7 +32,8 @@ def _import_log(arguments: Sequence[str] | None) -> None:
     for note in log.notes:
         print(f'note: {note}', file=sys.stderr)
     epochs = list(log.epochs(options.epoch))
-    with Writer(options.bag, options.storage) as bag:
+    about = {'command': command_line('import_csv', arguments)}
+    with Writer(options.bag, options.storage, about) as bag:
         _write(bag, log, epochs, f'/veh_{options.id}')
     counts = [
         f'{log.anchors.sender.size} anchors',

@@ -13,10 +13,17 @@ from typing import Any
 from tqdm import tqdm
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Message, Reader, STORAGES, Writer
-from tsmcl_ros.config import add_arguments, build, given_arguments, load_yaml, parameters
+from tsmcl_ros.config import (
+    add_arguments,
+    build,
+    dump_yaml,
+    given_arguments,
+    load_yaml,
+    parameters,
+)
 from tsmcl_ros.endpoint import Endpoint, OutputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import BagError, Estimate, MessageError
 
 # Carried over to the new bag, so that it can be evaluated by itself.
@@ -44,7 +51,7 @@ def _localize(arguments: Sequence[str] | None) -> None:
     frame_id = options.global_frame_id or build(OutputConfig, file).global_frame_id
     outcome = localize_bag(
         options.bag, options.out, settings, options.storage, frame_id,
-        progress=not options.quiet)
+        progress=not options.quiet, command=command_line('localize_bag', arguments))
     for note in outcome.notes():
         print(f'note: {note}', file=sys.stderr)
     print(f'{options.out}: {outcome.poses} poses, vehicles: {outcome.vehicles}')
@@ -89,13 +96,14 @@ class Outcome:
 
 def localize_bag(
     bag: str, out: str, settings: Mapping[str, Any], storage: str = STORAGES[0],
-    frame_id: str = 'map', progress: bool = False,
+    frame_id: str = 'map', progress: bool = False, command: str = '',
 ) -> Outcome:
     """
     Localize every vehicle of a bag and write a bag with the poses.
 
     The new bag has, beside `NAMESPACE/pose`, what an evaluation needs of the old one: anchors,
-    beacons and ground truth. A pose's log time is that of the message that made it due.
+    beacons and ground truth. A pose's log time is that of the message that made it due. How it
+    was made is left in it, and how the old one was.
 
     Parameters
     ----------
@@ -109,6 +117,8 @@ def localize_bag(
         The map's frame.
     progress : bool
         Show a progress bar where standard error is a terminal.
+    command : str
+        The command line, if there is one.
 
     Raises
     ------
@@ -125,7 +135,12 @@ def localize_bag(
         kept = {topic for topic, kind in reader.topics.items()
                 if _CONTEXT.get(topic.rpartition('/')[2]) == kind}
         wanted = kept | (set(endpoint.inputs) & set(reader.topics))
-        with Writer(out, storage) as writer:
+        about = {
+            **({'command': command} if command else {}),
+            'localizer': dump_yaml(*localizer.configs, commented=False),
+            **{f'input: {name}': text for name, text in reader.about.items()},
+        }
+        with Writer(out, storage, about) as writer:
             for topic in sorted(kept):
                 writer.topic(topic, reader.topics[topic], topic in reader.latched)
             for topic in endpoint.outputs:
