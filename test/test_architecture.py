@@ -38,9 +38,9 @@ OWN = {
 }
 # ... and from elsewhere, besides the standard library. A longer line precedes its part's.
 ROS = {
-    'ament_index_python', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs',
-    'rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs', 'tf2_ros',
-    'visualization_msgs',
+    'ament_index_python', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
+    'lifecycle_msgs', 'nav_msgs', 'rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'sensor_msgs',
+    'std_msgs', 'std_srvs', 'tf2_ros', 'visualization_msgs',
 }
 OTHERS = {
     'types': {'numpy'},

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 import time
+from typing import Any
 
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from tsmcl_ros.nodes import runtime
+import yaml
 
 PATIENCE = 90.0  # s, for anything that healthy nodes do at once, on a machine under load
 
@@ -46,6 +49,31 @@ class Probe(runtime.Node):
                 pytest.fail(f'did it for {PATIENCE:g} s in vain for {what}')
 
 
+class Scene:
+    """
+    A localizer node and a probe in one process, that talk over DDS.
+
+    They share a DDS participant: a subscription that one has found has found it, too.
+    """
+
+    def __init__(self, node: Any, probe: Any) -> None:
+        self.node, self.probe = node, probe
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        """
+        Let both handle messages until the condition holds.
+
+        Both do so at least once: what comes before an executor knows the subscriptions is
+        handled in no order.
+        """
+        for _ in range(3000):
+            self.node.spin(timeout=0.005)
+            self.probe.spin(timeout=0.005)
+            if condition():
+                return
+        pytest.fail(f'waited in vain for {what}')
+
+
 @pytest.fixture
 def ros() -> Iterator[Callable[..., None]]:
     """Start ROS with some arguments, once a test."""
@@ -68,3 +96,23 @@ def probe(ros: Callable[..., None]) -> Iterator[Probe]:
     node = Probe()
     yield node
     node.close()
+
+
+@pytest.fixture
+def begin(ros: Callable[..., None], tmp_path: Path) -> Iterator[Callable[..., Scene]]:
+    """Start a node with some parameters in namespace /veh_0, beside a probe."""
+    nodes: list[runtime.Node] = []
+
+    def begin_one(kind: type[runtime.Node], **settings: object) -> Scene:
+        # For this node alone, as the probe has no such parameters.
+        path = tmp_path / 'parameters.yaml'
+        path.write_text(yaml.safe_dump(
+            {f'/**/{kind.default_name}': {'ros__parameters': settings}}))
+        ros('-r', '__ns:=/veh_0', '--params-file', str(path))
+        nodes.extend([kind(), Probe()])
+        nodes[0].spin(timeout=0.01)  # before anybody publishes a map
+        return Scene(*nodes)
+
+    yield begin_one
+    for node in nodes:
+        node.close()

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import csv
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,10 +32,10 @@ from tsmcl_ros.scripts.localize_bag import localize_bag
 from tsmcl_ros.types import Observation, Odometry
 from tsmcl_ros.world import make_world, World
 from visualization_msgs.msg import MarkerArray
-import yaml
 
 Start = Callable[..., Any]
 Ros = Callable[..., None]
+Scene = Any  # of conftest.py
 PARAMETERS = {'radio_range': 1000.0, 'odom_heading': 'known', 'odom_std': 0.5}
 
 
@@ -79,49 +79,10 @@ class Source:
         return sent
 
 
-class Scene:
-    """
-    A localizer node and a probe in one process, that talk over DDS.
-
-    They share a DDS participant: a subscription that one has found has found it, too.
-    """
-
-    def __init__(self, node: Any, probe: Any) -> None:
-        self.node, self.probe = node, probe
-
-    def until(self, condition: Callable[[], bool], what: str) -> None:
-        """
-        Let both handle messages until the condition holds.
-
-        Both do so at least once: what comes before an executor knows the subscriptions is
-        handled in no order.
-        """
-        for _ in range(3000):
-            self.node.spin(timeout=0.005)
-            self.probe.spin(timeout=0.005)
-            if condition():
-                return
-        pytest.fail(f'waited in vain for {what}')
-
-
 @pytest.fixture
-def begin(ros: Ros, probe_class: Any, tmp_path: Path) -> Iterator[Callable[..., Scene]]:
-    """Start a localizer node with some parameters in namespace /veh_0, beside a probe."""
-    nodes: list[Any] = []
-
-    def begin_one(kind: type[Node] = LocalizerNode, **settings: object) -> Scene:
-        # For this node alone, as the probe has no such parameters.
-        path = tmp_path / 'parameters.yaml'
-        path.write_text(yaml.safe_dump(
-            {f'/**/{kind.default_name}': {'ros__parameters': PARAMETERS | settings}}))
-        ros('-r', '__ns:=/veh_0', '--params-file', str(path))
-        nodes.extend([kind(), probe_class()])
-        nodes[0].spin(timeout=0.01)  # before anybody publishes a map
-        return Scene(*nodes)
-
-    yield begin_one
-    for node in nodes:
-        node.close()
+def begin(begin: Callable[..., Any]) -> Callable[..., Any]:
+    """Start a localizer node with these parameters and some more."""
+    return lambda kind=LocalizerNode, **settings: begin(kind, **PARAMETERS | settings)
 
 
 def offline(sent: list[dict[str, bytes]], scene: World, names: list[str], **settings: object

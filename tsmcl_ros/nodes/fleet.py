@@ -10,6 +10,7 @@ from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.localizer import LocalizerNode
+from tsmcl_ros.nodes.managed import LifecycleConfig
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Fleet(LocalizerNode):
     """
 
     default_name = 'fleet'
-    configs = (FleetConfig, FleetOutputConfig, *CONFIGS)
+    configs = (LifecycleConfig, FleetConfig, FleetOutputConfig, *CONFIGS)
 
     def vehicle_names(self) -> list[str]:
         """Return the namespaces of the vehicles."""

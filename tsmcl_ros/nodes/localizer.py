@@ -18,6 +18,7 @@ from tsmcl_ros.config import build
 from tsmcl_ros.endpoint import Endpoint, OutputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer, LOST, OK, STALE
 from tsmcl_ros.nodes import runtime, views
+from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import select
 from tsmcl_ros.nodes.transforms import Broadcaster
 from tsmcl_ros.types import Estimate, MessageError, Observation
@@ -34,7 +35,7 @@ _QOS = {
 }
 
 
-class LocalizerNode(runtime.Node):
+class LocalizerNode(ManagedNode):
     """
     Localizer: tells where a vehicle is, from the beacons that it hears and its odometry.
 
@@ -44,10 +45,10 @@ class LocalizerNode(runtime.Node):
     """
 
     default_name = 'localizer'
-    configs = (OutputConfig, *CONFIGS)
+    configs = (LifecycleConfig, OutputConfig, *CONFIGS)
 
-    def __init__(self) -> None:
-        super().__init__()
+    def set_up(self) -> None:
+        """Build the localizer from the settings, and connect it."""
         names = self.vehicle_names()
         self._vehicles = [name or self.get_namespace() for name in names]
         self._output = build(OutputConfig, self.settings)
@@ -58,15 +59,18 @@ class LocalizerNode(runtime.Node):
         self._estimate: Estimate | None = None
         self._status = np.full(len(names), LOST)
         self._latency = math.nan
-        self._arrival = time.monotonic()
-        # What the localizer's time was at the last message, and what /clock showed next.
-        self._told: float | None = None
-        self._told_at: float | None = None
         self._offer()
         self._subscribe()
         self.get_logger().info(
             f'{len(names)} vehicles, method {self._localizer.config.method}, '
             f'seed {self._localizer.config.seed}')
+
+    def begin(self) -> None:
+        """Wait for messages; those of what went on meanwhile are missing, as in an outage."""
+        self._arrival = time.monotonic()
+        # What the localizer's time was at the last message, and what /clock showed next.
+        self._told: float | None = None
+        self._told_at: float | None = None
 
     def vehicle_names(self) -> list[str]:
         """Return the namespaces of the vehicles; here one, whose topics are relative."""
@@ -75,7 +79,7 @@ class LocalizerNode(runtime.Node):
     def pass_time(self, now: float) -> None:
         """Let the localizer know of time that passes without messages."""
         super().pass_time(now)
-        if not self.follows_clock or self._told is None:
+        if not self.follows_clock or self.state != 'active' or self._told is None:
             return
         # Messages have clocks of their own: what counts is for how long none came. It counts from
         # the first /clock after the last one, as the one before may be older by a whole step.
@@ -96,9 +100,10 @@ class LocalizerNode(runtime.Node):
             for topic in outputs if self._output.cloud_period
         ]
         self._cloud_rest = Rest(self._output.cloud_period)
-        self._markers = self.create_publisher(MarkerArray, 'markers', runtime.LATCHED)
+        self._markers = self.create_lifecycle_publisher(
+            MarkerArray, 'markers', runtime.LATCHED)
         self._marker_rest = Rest(self._output.marker_period)
-        self._diagnostics = self.create_publisher(
+        self._diagnostics = self.create_lifecycle_publisher(
             DiagnosticArray, '/diagnostics', runtime.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
@@ -107,13 +112,16 @@ class LocalizerNode(runtime.Node):
         self.create_service(Empty, 'request_nomotion_update', self._publish_again)
 
     def _subscribe(self) -> None:
-        heeds = {'anchor_map': self._heed_map, 'initialpose': self._heed_initial_pose}
+        heeds = {'anchor_map': self._heed_map, 'anchor_links': self._heed_links,
+                 'initialpose': self._heed_initial_pose}
         for topic, (kind, handler) in self._endpoint.inputs.items():
             name = topic.rpartition('/')[2]
             self.listen(topic, kind, partial(heeds.get(name, self._heed), handler), _QOS[name])
 
     def _heed(self, handler: Callable[[bytes], None], data: bytes) -> None:
         """Hand a message to the localizer, and publish what has become due by it."""
+        if self.state != 'active':
+            return
         self._arrival = time.monotonic()
         before = self._localizer.now
         handler(data)
@@ -121,9 +129,14 @@ class LocalizerNode(runtime.Node):
             self._told, self._told_at = self._localizer.now, None
         self._publish_due()
 
+    # What is told once counts as soon as the node is configured.
+
     def _heed_map(self, handler: Callable[[bytes], None], data: bytes) -> None:
         handler(data)
         self._anchors, _ = messages.decode_beacons(data)
+
+    def _heed_links(self, handler: Callable[[bytes], None], data: bytes) -> None:
+        handler(data)
 
     def _heed_initial_pose(self, handler: Callable[[bytes], None], data: bytes) -> None:
         try:
@@ -180,6 +193,8 @@ class LocalizerNode(runtime.Node):
 
     def _diagnose(self) -> None:
         """Publish how each vehicle's localization is doing."""
+        if self.state != 'active':
+            return
         health, estimate = self._localizer.health, self._estimate
         status = health.status
         silence = time.monotonic() - self._arrival
@@ -210,7 +225,7 @@ class LocalizerNode(runtime.Node):
 
     def _publish_again(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
         """Publish the latest estimate again: updates do not wait for motion here."""
-        if self._estimate is not None:
+        if self._estimate is not None and self.state == 'active':
             self._publish_poses(self._estimate)
             self._cloud_rest.end()
             self._marker_rest.end()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import sys
 from typing import Any
 
@@ -24,7 +24,7 @@ _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 def declare(
     node: Node, overrides: Mapping[str, RosParameter], configs: Sequence[type[Config]],
-    adjustable: Sequence[str] = (),
+    adjustable: Sequence[str] = (), fixed: Callable[[], str] | None = None,
 ) -> dict[str, Any]:
     """
     Declare the parameters of some configs on a node, and return their values.
@@ -41,7 +41,10 @@ def declare(
     configs
         Where the parameters come from.
     adjustable
-        Names of those that can be set while the node runs; the others are read-only.
+        Names of those that can be set at any time.
+    fixed
+        Returns why the others cannot be set at present, '' if they can. Without it they never
+        can, and ROS knows them as read-only.
 
     Returns
     -------
@@ -64,16 +67,23 @@ def declare(
     _check(configs, values)
     for name, item in known.items():
         node.declare_parameter(
-            name, _to_ros(values[name]), _descriptor(item, name in adjustable),
+            name, _to_ros(values[name]),
+            _descriptor(item, read_only=fixed is None and name not in adjustable),
             ignore_override=True,
         )
+
+    reason = fixed or str
 
     def refuse(changes: list[RosParameter]) -> SetParametersResult:
         if any(change.name == 'use_sim_time' for change in changes):
             return SetParametersResult(
                 successful=False, reason='use_sim_time cannot change while the node runs')
         try:
-            _check(configs, values | _converted(changes, known))
+            wanted = _converted(changes, known)
+            _check(configs, values | wanted)
+            for name, value in wanted.items():
+                if name not in adjustable and value != values[name] and (why := reason()):
+                    raise ConfigError(f'{name} cannot change {why}')
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -124,12 +134,12 @@ def _check(configs: Sequence[type[Config]], values: Mapping[str, Any]) -> None:
         build(config, values)
 
 
-def _descriptor(item: Parameter, adjustable: bool) -> ParameterDescriptor:
+def _descriptor(item: Parameter, read_only: bool) -> ParameterDescriptor:
     unit = f' [{item.unit}]' if item.unit else ''
     descriptor = ParameterDescriptor(
         description=f'{item.doc}{unit}',
         additional_constraints=item.allowed,
-        read_only=not adjustable,
+        read_only=read_only,
     )
     # ROS knows inclusive bounds only; the config refuses the rest.
     low = item.low if item.low is not None else item.above

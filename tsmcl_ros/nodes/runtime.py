@@ -99,12 +99,13 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
     default_name: ClassVar[str]
     configs: ClassVar[tuple[type[Config], ...]] = ()
     adjustable: ClassVar[tuple[str, ...]] = ()
+    fixed: Callable[[], str] | None = None
 
     def __init__(self) -> None:
         super().__init__(self.default_name)
         # rclpy offers no other way to see overrides of parameters that nobody has declared.
         self.settings = declare(
-            self, self._parameter_overrides, self.configs, self.adjustable,
+            self, self._parameter_overrides, self.configs, self.adjustable, self.fixed,
         )
         self._events = EventsExecutor(context=self.context)
         self._events.add_node(self)
@@ -424,7 +425,6 @@ def session(arguments: Sequence[str] = ()) -> Iterator[None]:
     Misuse, ConfigError
         If the arguments make no sense, or a parameter file cannot be read.
     """
-    _asked_to_stop.clear()
     before = {
         number: signal.signal(number, lambda *_: _asked_to_stop.set())
         for number in (signal.SIGINT, signal.SIGTERM)
@@ -436,6 +436,7 @@ def session(arguments: Sequence[str] = ()) -> Iterator[None]:
         rclpy.try_shutdown()
         for number, handler in before.items():
             signal.signal(number, handler)
+        _asked_to_stop.clear()
 
 
 def _init(arguments: Sequence[str]) -> None:

@@ -34,7 +34,7 @@ _CONTEXT = {
     'ground_truth': messages.ODOMETRY,
 }
 # What a parameter file for the node may hold that has no meaning here.
-_NODES_OWN = {'use_sim_time', *(item.name for item in parameters(OutputConfig))}
+_NODES_OWN = {'use_sim_time', 'autostart', *(item.name for item in parameters(OutputConfig))}
 _MAX_REASONS = 5
 
 
