@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / 'tsmcl_ros'
 # What each part of the package may import from it, besides itself ...
 BASE = {'types', 'config'}
 MODEL = BASE | {'model'}
-WORLD = MODEL | {'fcd', 'world'}
+WORLD = MODEL | {'traces', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
 RECORDS = {'types', 'cdr', 'messages', 'bag', 'csv_log'}
 LOWER = WORLD | LOCALIZER | RECORDS | {'endpoint'}
@@ -29,7 +29,7 @@ OWN = {
     'model': BASE,
     'methods': MODEL,
     'localizer': LOCALIZER,
-    'fcd': MODEL,
+    'traces': MODEL,
     'world': WORLD,
     'endpoint': LOCALIZER | RECORDS,
     'evaluation': LOWER,
@@ -53,7 +53,7 @@ OTHERS = {
     'methods': {'numpy'},
     'methods.grid': {'numpy', 'scipy'},  # its convolution
     'localizer': {'numpy'},
-    'fcd': {'numpy'},
+    'traces': {'numpy'},
     'world': {'numpy', 'scipy'},
     'endpoint': {'numpy'},
     'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},

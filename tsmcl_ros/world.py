@@ -16,8 +16,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 from tsmcl_ros.config import build, Config, param
-from tsmcl_ros.fcd import FcdConfig, replay_fcd
 from tsmcl_ros.model.mobility import (
+    Manhattan,
+    ManhattanConfig,
+    Manoeuvre,
+    ManoeuvreConfig,
     Mobility,
     RandomWaypoint,
     RandomWaypointConfig,
@@ -27,13 +30,21 @@ from tsmcl_ros.model.mobility import (
 from tsmcl_ros.model.period import Schedule
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
+from tsmcl_ros.traces import FOLLOW, TraceConfig
 from tsmcl_ros.types import Array, ConfigError, Links, Observation, PADDED
 
 # Each is made from its config, the number of vehicles, and a random generator of its own.
 MOBILITY: dict[str, tuple[type[Config], Callable[[Any, int, np.random.Generator], Mobility]]] = {
     'random_waypoint': (RandomWaypointConfig, RandomWaypoint),
-    'fcd': (FcdConfig, replay_fcd),
+    'manhattan': (ManhattanConfig, Manhattan),
+    'manoeuvre': (ManoeuvreConfig, Manoeuvre),
+    **{kind: (TraceConfig, follow) for kind, follow in FOLLOW.items()},
 }
+
+
+@dataclass(frozen=True)
+class MobilityConfig(RandomWaypointConfig, ManhattanConfig, ManoeuvreConfig, TraceConfig):
+    """Parameters of all mobilities, several of which share some."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,9 @@ class WorldConfig(Config):
     """The fleet, its odometry, and what becomes of beacons on the air."""
 
     vehicles: int = param(40, 'number of vehicles', low=1, high=100_000)
-    mobility: str = param('random_waypoint', 'how vehicles move', choices=tuple(MOBILITY))
+    mobility: str = param(
+        'random_waypoint', 'how vehicles move: three models, or a trace of a format that is '
+        'recognised or named', choices=tuple(MOBILITY))
     beacon_period: float = param(1.0, 'time between two beacons of a sender', unit='s', above=0,
                                  high=3600)
     drop_rate: float = param(0.0, 'share of beacons lost, to collisions say, however near',
@@ -84,8 +97,7 @@ class AnchorConfig(Config):
 
 # All that `make_world` reads its settings into.
 CONFIGS: tuple[type[Config], ...] = (
-    WorldConfig, AnchorConfig, RadioConfig, RelayConfig,
-    *(config for config, _ in MOBILITY.values()),
+    WorldConfig, AnchorConfig, RadioConfig, RelayConfig, MobilityConfig,
 )
 
 

@@ -149,7 +149,7 @@ def test_malformed_beacons_are_reported_and_the_simulation_goes_on(
 def test_cars_of_a_sumo_trace_drive_as_recorded(
     probe: Any, start: Start, shared_data: Path,
 ) -> None:
-    from tsmcl_ros.fcd import read_fcd
+    from tsmcl_ros.traces.fcd import read_fcd
 
     path = shared_data / 'sumo_grid40' / 'fcd40.xml.gz'
     received = collect(probe, 40)

@@ -74,7 +74,7 @@ def _simulate(
         ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
         ROS_LOG_DIR=str(processes.folder),
     )
-    world = {'mobility': 'fcd', 'trace': options.fcd} if options.fcd else {}
+    world = {'mobility': 'trace', 'trace': options.trace} if options.trace else {}
     fleet = {'vehicles': options.vehicles, 'seed': options.seed}
     time_of_clock = {'use_sim_time': True}
     processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
@@ -312,8 +312,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--seed', type=int, default=1, help='of the world and of the localizers')
     parser.add_argument('--method', choices=tuple(METHODS), default='ts_mcl',
                         help='what the localizers run')
-    parser.add_argument('--fcd', type=Path, metavar='FILE',
-                        help='SUMO trace that the vehicles follow, instead of random waypoints')
+    parser.add_argument('--trace', '--fcd', type=Path, metavar='FILE',
+                        help='trace that the vehicles follow: of SUMO (fcd-export), ns-2 or '
+                             'BonnMotion')
     parser.add_argument('--out', type=Path, metavar='DIR',
                         help='folder to make for recording and report; out/demo if not given, or '
                              'out/demo_2 and so on')

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from tsmcl_ros.fcd import FcdConfig, read_fcd, replay_fcd
+from tsmcl_ros.traces import follow, TraceConfig
+from tsmcl_ros.traces.fcd import read_fcd
 from tsmcl_ros.types import ConfigError, LogError
 
 BOMB = """<!DOCTYPE fcd-export [
@@ -73,7 +74,7 @@ def test_the_real_trace_gives_every_position_as_a_plain_text_search_finds_it(cit
 
 
 def test_cars_of_the_real_trace_head_where_they_drive(city) -> None:
-    replay = replay_fcd(FcdConfig(trace=str(city)), 40)
+    replay = follow('fcd', TraceConfig(trace=str(city)), 40)
     states = [replay.step(1.0) for _ in range(200)]
     velocity = np.array([state.velocity for state in states])
     yaw = np.array([state.yaw for state in states])
@@ -112,7 +113,7 @@ def test_a_vehicle_that_comes_before_the_start_counts(three) -> None:
 
 
 def test_a_start_between_time_steps_begins_with_the_one_before(three) -> None:
-    replay = replay_fcd(FcdConfig(trace=str(three), trace_start=0.5), 2)
+    replay = follow('fcd', TraceConfig(trace=str(three), trace_start=0.5), 2)
     np.testing.assert_array_equal(replay.state.position, [[1.0, 1.0], [5.0, 5.5]])
     assert replay.duration == 1.5
 
@@ -260,7 +261,7 @@ def test_a_missing_file_is_refused(tmp_path) -> None:
 
 def test_a_replay_without_a_trace_is_refused() -> None:
     with pytest.raises(ConfigError, match="trace: '' is not allowed, must be the path"):
-        replay_fcd(FcdConfig(), 1)
+        follow('fcd', TraceConfig(), 1)
 
 
 @settings(max_examples=200, deadline=None)

@@ -9,59 +9,16 @@ grow into gigabytes.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-import gzip
-from io import BufferedIOBase
 import math
 from pathlib import Path
 from xml.parsers import expat
-import zlib
 
 import numpy as np
-from tsmcl_ros.config import Config, param
-from tsmcl_ros.model.mobility import Replay, Trace, wrap
-from tsmcl_ros.types import Array, ConfigError, LogError
+from tsmcl_ros.model.mobility import Trace, wrap
+from tsmcl_ros.traces.files import opened, place, reading, refuse_few, Refused
+from tsmcl_ros.types import LogError
 
-FURTHEST = 1e5  # m; beacons carry float32 coordinates, which want a local origin
 _CHUNK = 1 << 16
-_GZIP_MAGIC = b'\x1f\x8b'
-
-
-@dataclass(frozen=True)
-class FcdConfig(Config):
-    """Parameters of the replay of a SUMO trace."""
-
-    trace: str = param('', 'SUMO fcd-export file, plain or gzip')
-    trace_start: float = param(40.0, 'time in the trace at which to begin', unit='s', low=0,
-                               high=1e9)
-    trace_duration: float = param(
-        0.0, 'time that the vehicles must be there; 0 for as long as the longest-lived ones are',
-        unit='s', low=0, high=1e9)
-    trace_elevation: bool = param(False, 'use the height z of the vehicles: three dimensions')
-    trace_local_origin: bool = param(
-        False, 'move the origin to the corner of the ways, as UTM coordinates want it')
-
-
-def replay_fcd(config: FcdConfig, vehicles: int, rng: np.random.Generator | None = None) -> Replay:
-    """
-    Return a mobility that replays as many vehicles of a SUMO trace.
-
-    Nothing is drawn from `rng`: every mobility is made by these three arguments.
-
-    Raises
-    ------
-    ConfigError
-        If no trace is named.
-    LogError
-        See `read_fcd`.
-    """
-    if not config.trace:
-        raise ConfigError("trace: '' is not allowed, must be the path of a SUMO fcd-export file")
-    trace = read_fcd(config.trace, vehicles, config.trace_start, config.trace_duration,
-                     elevation=config.trace_elevation, local_origin=config.trace_local_origin)
-    return Replay(trace, config.trace_start)
 
 
 def read_fcd(
@@ -109,60 +66,25 @@ def read_fcd(
         vehicles in the wanted time; if coordinates are beyond 100 km and no local origin is
         asked for.
     """
+    path = Path(path)
     steps = _TimeSteps(start, duration, elevation)
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = steps.refuse_doctype
     parser.StartElementHandler = steps.begin
     parser.EndElementHandler = steps.end
-    try:
-        with _opened(Path(path)) as stream:
+    with reading(path, lambda: parser.CurrentLineNumber), opened(path) as stream:
+        try:
             while not steps.complete:
                 chunk = stream.read(_CHUNK)
                 parser.Parse(chunk, not chunk)
                 if not chunk:
                     break
-    except expat.ExpatError as error:
-        reason = expat.ErrorString(error.code)
-        raise LogError(f'{path}:{error.lineno}: is not well-formed XML: {reason}') from None
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        line = parser.CurrentLineNumber
-        raise LogError(f'{path}:{line}: the gzip file is damaged: {error}') from None
-    except OSError as error:
-        raise LogError(f'{path}: cannot read the trace: {error.strerror}') from None
-    except _Refused as error:
-        raise LogError(f'{path}:{parser.CurrentLineNumber}: {error}') from None
-    try:
+        except expat.ExpatError as error:
+            reason = expat.ErrorString(error.code)
+            raise LogError(f'{path}:{error.lineno}: is not well-formed XML: {reason}') from None
+    with reading(path):
         trace = steps.trace(vehicles)
-    except _Refused as error:
-        raise LogError(f'{path}: {error}') from None
-    if local_origin:
-        trace.position[..., :2] -= np.floor(trace.position[..., :2].min(axis=(0, 1)))
-    if np.abs(trace.position).max() > FURTHEST:
-        raise LogError(
-            f'{path}: has coordinates beyond 100 km, at {_text(trace.position)} m; ask for a '
-            'local origin (trace_local_origin)'
-        )
-    return trace
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[BufferedIOBase]:
-    """Open a file that may be compressed; its name does not matter."""
-    with path.open('rb') as raw:
-        if raw.peek(2)[:2] == _GZIP_MAGIC:
-            with gzip.GzipFile(fileobj=raw) as unpacked:
-                yield unpacked
-        else:
-            yield raw
-
-
-def _text(position: Array) -> str:
-    furthest = position.reshape(-1, position.shape[-1])[np.abs(position).max(axis=-1).argmax()]
-    return '(' + ', '.join(f'{value:.0f}' for value in furthest) + ')'
-
-
-class _Refused(Exception):
-    """What is wrong with the file; the reader adds its name, and the line."""
+    return place(trace, path, local_origin)
 
 
 class _TimeSteps:
@@ -180,7 +102,7 @@ class _TimeSteps:
         self.complete = False
 
     def refuse_doctype(self, name: str, *_: object) -> None:
-        raise _Refused(f'has a document type definition (<!DOCTYPE {name}>), refused: '
+        raise Refused(f'has a document type definition (<!DOCTYPE {name}>), refused: '
                           'fcd-export files have none')
 
     def begin(self, element: str, attributes: dict[str, str]) -> None:
@@ -189,13 +111,13 @@ class _TimeSteps:
         if self.complete:
             return
         if depth == 0 and element != 'fcd-export':
-            raise _Refused(f'<{element}> is not the root of a SUMO trace, expected '
+            raise Refused(f'<{element}> is not the root of a SUMO trace, expected '
                               '<fcd-export>')
         if element == 'timestep':
             self._begin_step(_number(element, attributes, 'time'))
         elif element == 'vehicle':
             if depth == 0 or self._path[-2] != 'timestep':
-                raise _Refused('<vehicle> stands outside of a <timestep>')
+                raise Refused('<vehicle> stands outside of a <timestep>')
             self._add(attributes)
 
     def end(self, element: str) -> None:
@@ -205,7 +127,7 @@ class _TimeSteps:
 
     def _begin_step(self, time: float) -> None:
         if time <= self._last:
-            raise _Refused(f'time {time:g} s does not come after {self._last:g} s, expected '
+            raise Refused(f'time {time:g} s does not come after {self._last:g} s, expected '
                               'time steps in order')
         self._first = min(self._first, time)
         self._last = time
@@ -217,7 +139,7 @@ class _TimeSteps:
     def _add(self, attributes: dict[str, str]) -> None:
         name = attributes.get('id')
         if name is None:
-            raise _Refused('<vehicle> has no id')
+            raise Refused('<vehicle> has no id')
         row = [_number('vehicle', attributes, key) for key in (*self._axes, 'angle')]
         if len(self._stamps) == 1:
             self._ways.setdefault(name, array('d'))
@@ -226,7 +148,7 @@ class _TimeSteps:
             return  # came too late
         missed = len(self._stamps) - 1 - len(way) // len(row)
         if missed < 0:
-            raise _Refused(f'vehicle {name!r} appears twice in the time step {self._last:g} s')
+            raise Refused(f'vehicle {name!r} appears twice in the time step {self._last:g} s')
         if missed == 0:
             way.extend(row)
 
@@ -236,16 +158,11 @@ class _TimeSteps:
         if not self._first <= self._start <= self._last:
             held = f'it lasts from {self._first:g} s to {self._last:g} s' if stamp.size \
                 else 'it is empty'
-            raise _Refused(f'holds nothing at the wanted start, {self._start:g} s: {held}')
+            raise Refused(f'holds nothing at the wanted start, {self._start:g} s: {held}')
         width = len(self._axes) + 1
         lives = np.array([len(way) // width for way in self._ways.values()], np.intp)
         needed = max(2, int(np.searchsorted(stamp, self._end)) + 1 if self._end < math.inf else 0)
-        if np.count_nonzero(lives >= needed) < vehicles:
-            wanted = f'to {self._end:g} s' if self._end < math.inf else 'on'
-            raise _Refused(
-                f'holds {np.count_nonzero(lives >= needed)} vehicles that are there from '
-                f'{self._start:g} s {wanted}, {vehicles} are wanted'
-            )
+        refuse_few(int(np.sum(lives >= needed)), vehicles, self._start, self._end)
         # The longest-lived, put back into the order of the file.
         chosen = np.sort(np.argsort(-lives, kind='stable')[:vehicles])
         length = lives[chosen].min()
@@ -265,11 +182,11 @@ class _TimeSteps:
 def _number(element: str, attributes: dict[str, str], key: str) -> float:
     text = attributes.get(key)
     if text is None:
-        raise _Refused(f'<{element}> has no {key}, expected a number')
+        raise Refused(f'<{element}> has no {key}, expected a number')
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise _Refused(f'{key}={text!r} of <{element}> is not a finite number')
+        raise Refused(f'{key}={text!r} of <{element}> is not a finite number')
     return value
