@@ -43,18 +43,22 @@ class Parameter:
     @property
     def allowed(self) -> str:
         """Say in words which values are allowed."""
+        kind = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'a text',
+                tuple: 'a list of texts'}[self.type]
+        return self.bounds if self.choices else ' '.join([kind, self.bounds]).strip()
+
+    @property
+    def bounds(self) -> str:
+        """Say in words which of the type's values are allowed, '' if all are."""
         if self.choices:
             return 'one of ' + ', '.join(map(str, self.choices))
         unit = f' {self.unit}' if self.unit else ''
-        bounds = [
+        return ' and '.join(
             f'{word} {bound:g}{unit}'
             for word, bound in (('at least', self.low), ('above', self.above),
                                 ('at most', self.high))
             if bound is not None
-        ]
-        kind = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'a text',
-                tuple: 'a list of texts'}[self.type]
-        return ' '.join([kind, ' and '.join(bounds)]).strip()
+        )
 
     def refuse(self, value: Any) -> ConfigError:
         """Return the error that names this parameter, the value, and what is allowed."""

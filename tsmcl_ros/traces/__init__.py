@@ -27,8 +27,8 @@ KINDS = ('trace', *READERS)
 class TraceConfig(Config):
     """Parameters of the replay of a trace."""
 
-    trace: str = param('', "file that the vehicles follow, plain or gzip: SUMO's fcd-export, "
-                       'ns-2 movements or BonnMotion movements, as mobility says')
+    trace: str = param('', 'file that the vehicles follow, plain or gzip: fcd-export of SUMO, '
+                       'movements of ns-2 or of BonnMotion')
     trace_start: float = param(40.0, 'time in the trace at which to begin', unit='s', low=0,
                                high=1e9)
     trace_duration: float = param(
