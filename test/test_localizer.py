@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from tsmcl_ros.localizer import Localizer, LOST, OK, STALE
+from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.model.health import LOST, OK, STALE
 from tsmcl_ros.types import (
     ConfigError,
     Estimate,

@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.config import build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
+from tsmcl_ros.model.health import HealthConfig, HealthMonitor, LOST, OK, STALE
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
@@ -38,8 +40,6 @@ from tsmcl_ros.types import (
     Prior,
     VEHICLE,
 )
-
-OK, STALE, LOST = 0, 1, 2
 
 # Methods that are made for outages, and so predict through them on their own.
 _PREDICTS_OUTAGES = ('grey_ekf',)
@@ -64,9 +64,6 @@ class LocalizerConfig(Config):
         'velocity', "what predicts a vehicle that hears nothing and has no odometry: the way its "
         "velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, "
         "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'), read_only=True)
-    stale_after: float = param(
-        5.0, 'call an estimate stale when no beacon was heard for this long',
-        unit='s', above=0.0)
     time_jump: float = param(
         10.0, "start anew when a topic's stamps go back by more than this, as in a looped bag; "
         'reject messages that are less late', unit='s', low=0.0)
@@ -92,7 +89,7 @@ class LocalizerConfig(Config):
 
 
 CONFIGS: tuple[type[Config], ...] = (
-    LocalizerConfig, RadioConfig, EvidenceConfig, MotionConfig,
+    LocalizerConfig, HealthConfig, RadioConfig, EvidenceConfig, MotionConfig,
     *(method.Config for method in METHODS.values()))
 
 
@@ -104,7 +101,12 @@ class Health:
     Attributes
     ----------
     status : (V,) int
-        OK, STALE (predicting through an outage) or LOST.
+        OK, STALE (predicting through an outage) or LOST (not placed, or not where it is believed
+        to be).
+    lost : (V,) float
+        Probability that what was heard contradicts the estimate because the vehicle is elsewhere.
+    suspects : list of V lists of int
+        Senders that contradict what all others agree on.
     age : (V,) float
         Time since the last beacon [s], inf before the first.
     reinitializations : (V,) int
@@ -112,6 +114,8 @@ class Health:
     """
 
     status: Array
+    lost: Array
+    suspects: list[list[int]]
     age: Array
     reinitializations: Array
 
@@ -145,6 +149,7 @@ class Localizer:
         self.method_config = build(METHODS[self.config.method].Config, settings)
         self.radio_config = build(RadioConfig, settings)
         self.evidence_config = build(EvidenceConfig, settings)
+        self.health_config = build(HealthConfig, settings)
         self.vehicles = vehicles
         self.restarts = 0
         self._anchors = KnownAnchors(
@@ -176,6 +181,7 @@ class Localizer:
         self._pending: dict[float, dict[int, Observation]] = {}
         self._priors: list[Prior] = []
         self._hearsay = Hearsay(self.vehicles, self.config.dimension)
+        self._monitor = HealthMonitor(self.health_config, self.vehicles)
         self._passed = np.full(self.vehicles, -np.inf)
         self._heard_at = np.full(self.vehicles, -np.inf)
         self._reinitializations = np.zeros(self.vehicles, int)
@@ -207,8 +213,11 @@ class Localizer:
         if self._estimate is not None:
             placed = np.isfinite(self._estimate.mean[:, 0])
         age = (self._last if self._last is not None else 0.0) - self._heard_at
-        status = np.where(~placed, LOST, np.where(age > self.config.stale_after, STALE, OK))
-        return Health(status, age, self._reinitializations.copy())
+        lost = np.where(placed, self._monitor.lost, 1)
+        stale = age > self.health_config.stale_after
+        return Health(
+            np.where(lost > 0.5, LOST, np.where(stale, STALE, OK)), lost,
+            self._monitor.suspects(), age, self._reinitializations.copy())
 
     def anchor_map(self, anchors: Observation) -> None:
         """
@@ -282,6 +291,7 @@ class Localizer:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
         self._outage.forget(vehicle)
         self._hearsay.forget(vehicle)
+        self._monitor.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
 
@@ -346,9 +356,11 @@ class Localizer:
             self._method.start(self._rotated(prior))
             self._hearsay.forget(prior.vehicle)
             self._outage.forget(prior.vehicle)
+            self._monitor.forget(prior.vehicle)
         self._priors = []
         claimed = self._listen(observation)
         observation = self._guarded(claimed)
+        self._judge(observation)
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
         if self.evidence_config.echo_guard > 0:
@@ -357,8 +369,16 @@ class Localizer:
         estimate = self._through_outage(estimate, observation, motion)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
+        self._monitor.doubt(estimate.reinitialized)
         self._reinitializations += estimate.reinitialized
         return estimate
+
+    def _judge(self, observation: Observation) -> None:
+        """Hold what was heard against the prediction, before it becomes part of the belief."""
+        assert self._method is not None
+        mean, covariance = self._method.moments()
+        self._monitor.judge(deviations(
+            self.channel, observation, mean, covariance + self._hearsay.covariance))
 
     def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None
                         ) -> Estimate:

@@ -418,6 +418,9 @@ class Estimator(Protocol):
     def particles(self) -> Array:
         """Return the cloud (V, N, D) [m]; (V, 0, D) for a method without one."""
 
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean (V, D) [m] and covariance (V, D, D) [m^2] of the belief as it stands."""
+
     def start(self, prior: Prior) -> None:
         """Replace one vehicle's belief by a prior."""
 

@@ -117,20 +117,27 @@ class Grid:
             self._log_likelihood = total
         return self._estimate(observation, excluded)
 
-    def _estimate(self, observation: Observation, excluded: Array) -> Estimate:
-        """Return the moments of every belief; a cell's own width counts as uncertainty."""
-        heard = observation.heard.sum(axis=1)
-        unknown = np.full(self.vehicles, np.nan)
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean (V, 2) [m] and covariance (V, 2, 2) [m^2], NaN where unplaced."""
         mean = np.full((self.vehicles, 2), np.nan)
         covariance = np.full((self.vehicles, 2, 2), np.nan)
+        if self.belief.size:
+            mean, covariance = moments(
+                np.broadcast_to(self.cells, (self.vehicles, *self.cells.shape)),
+                self.belief.reshape(self.vehicles, -1))
+            # A cell's own width is uncertain, too.
+            covariance += np.eye(2) * self.config.grid_cell ** 2 / 12
+            mean[~self.placed] = covariance[~self.placed] = np.nan
+        return mean, covariance
+
+    def _estimate(self, observation: Observation, excluded: Array) -> Estimate:
+        """Return the moments of every belief, and how it is doing."""
+        heard = observation.heard.sum(axis=1)
+        unknown = np.full(self.vehicles, np.nan)
+        mean, covariance = self.moments()
         ess = np.zeros(self.vehicles)
         if self.belief.size:
-            weights = self.belief.reshape(self.vehicles, -1)
-            mean, covariance = moments(
-                np.broadcast_to(self.cells, (self.vehicles, *self.cells.shape)), weights)
-            covariance += np.eye(2) * self.config.grid_cell ** 2 / 12
-            ess = 1 / np.square(weights).sum(axis=1)
-            mean[~self.placed] = covariance[~self.placed] = np.nan
+            ess = 1 / np.square(self.belief).sum(axis=(1, 2))
         return Estimate(
             stamp=observation.stamp, mean=mean, covariance=covariance,
             rotation=unknown, rotation_variance=unknown, ess=ess, particles=len(self.cells),

@@ -148,7 +148,9 @@ class RMcl(RedrawingFilter):
             Log of it, of all that was heard; -inf where the motion does not lead.
         """
         dimension, count = self.cloud.dimension, mass.shape[1] * self.config.candidates
-        parent = systematic_resample(mass[vehicle], count, self.rng)
+        # Far from where the motion leads masses are smaller than a float inverts.
+        mass = mass[vehicle] / mass[vehicle].max(axis=1, keepdims=True)
+        parent = systematic_resample(mass, count, self.rng)
         share = even_shares(np.arange(count), len(vehicle), dimension, self.rng)
         owner = np.repeat(vehicle, count)
         states, valid = kernel.draw(

@@ -7,7 +7,7 @@ be uncertain, and all that is learnt is scored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -35,6 +35,22 @@ class Sight:
     expected: Array
     gradient: Array
     variance: Array
+
+    @classmethod
+    def to(cls, mean: Array, covariance: Array, position: Array, known: Array) -> Sight:
+        """
+        Return what is expected of distances to references.
+
+        Parameters
+        ----------
+        mean, covariance : (V, D), (V, D, D) float
+            The beliefs [m, m^2].
+        position, known : (V, D), (V, D, D) float
+            The references, and how well their positions are known [m, m^2].
+        """
+        expected, slope, variance = gaussian.range_to(mean, covariance, position)
+        return cls(expected, slope, variance + gaussian.innovation_variance(
+            known, slope, np.zeros(len(slope))))
 
     def on_log_scale(self) -> Sight:
         """Return what is expected of the quantity's log10."""
@@ -85,12 +101,11 @@ class Beliefs:
     def sight(self, position: Array, covariance: Array) -> Sight:
         """Return what is expected of the distances to references (V, D), known that well."""
         size = self.dimension
-        expected, slope, variance = gaussian.range_to(
-            self.mean[:, :size], self.covariance[:, :size, :size], position)
+        seen = Sight.to(
+            self.mean[:, :size], self.covariance[:, :size, :size], position, covariance)
         gradient = np.zeros_like(self.mean)
-        gradient[:, :size] = slope
-        return Sight(expected, gradient, variance + gaussian.innovation_variance(
-            covariance, slope, np.zeros(len(slope))))
+        gradient[:, :size] = seen.gradient
+        return replace(seen, gradient=gradient)
 
     def measure(self, used: Array, sight: Sight, measured: Array, variance: Array) -> None:
         """

@@ -230,24 +230,29 @@ class Cloud:
         weights = weights * np.minimum(ratio, _MOST_FAVOURED)
         self.weights[vehicle] = weights / weights.sum(axis=1, keepdims=True)
 
-    def estimate(self, observation: Observation) -> Estimate:
+    def moments(self) -> tuple[Array, Array]:
         """
-        Return the weighted mean and covariance of every vehicle's cloud.
+        Return the weighted mean (V, D) [m] and covariance (V, D, D) [m^2], NaN where unplaced.
 
         A mean of few effective particles is off by chance, with about the cloud's covariance over
         their number; it is added, so that a cloud of which one particle is left does not claim
         to be certain.
         """
-        ess = effective_sample_size(self.weights)
-        mean, covariance = moments(self.particles, self.weights, error=1 / ess)
+        mean, covariance = moments(
+            self.particles, self.weights, error=1 / effective_sample_size(self.weights))
         mean[~self.placed] = np.nan
         covariance[~self.placed] = np.nan
+        return mean, covariance
+
+    def estimate(self, observation: Observation) -> Estimate:
+        """Return the moments of every vehicle's cloud, and how it is doing."""
+        mean, covariance = self.moments()
         rotation, rotation_variance = self._rotation()
         heard = observation.heard.sum(axis=1)
         return Estimate(
             stamp=observation.stamp, mean=mean, covariance=covariance,
             rotation=rotation, rotation_variance=rotation_variance,
-            ess=ess, particles=self.states.shape[1],
+            ess=effective_sample_size(self.weights), particles=self.states.shape[1],
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
@@ -342,6 +347,10 @@ class ParticleFilter:
     def particles(self) -> Array:
         """(V, N, D) float32: the positions [m]."""
         return self.cloud.particles
+
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean (V, D) [m] and covariance (V, D, D) [m^2], NaN where unplaced."""
+        return self.cloud.moments()
 
     def start(self, prior: Prior) -> None:
         """Replace one vehicle's belief by a prior."""

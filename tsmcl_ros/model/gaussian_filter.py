@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from tsmcl_ros.model import gaussian
 from tsmcl_ros.model.belief import Beliefs
+from tsmcl_ros.model.bounds import bounds
 from tsmcl_ros.model.cloud import RecoveryConfig
 from tsmcl_ros.model.kinematics import kinematics_of
 from tsmcl_ros.model.motion import MotionModel
@@ -24,8 +25,6 @@ from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Points at which the evidence that places a vehicle is looked at.
 _POINTS = 2048
-# A logistic edge of width s lies within 0.01 of a Gaussian one of this std.
-_LOGISTIC_STD = 1.702
 
 
 class GaussianFilter:
@@ -68,6 +67,12 @@ class GaussianFilter:
         """(V, 0, D) float32: a Gaussian has none."""
         return np.zeros((len(self.placed), 0, self.dimension), np.float32)
 
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean (V, D) [m] and covariance (V, D, D) [m^2], NaN where unplaced."""
+        size, unknown = self.dimension, ~self.placed
+        return (np.where(unknown[:, None], np.nan, self.beliefs.mean[:, :size]),
+                np.where(unknown[:, None, None], np.nan, self.beliefs.covariance[:, :size, :size]))
+
     def start(self, prior: Prior) -> None:
         """Replace one vehicle's belief by a prior."""
         self._place(np.array([prior.vehicle]), prior.mean, prior.covariance, prior)
@@ -105,15 +110,14 @@ class GaussianFilter:
     def estimate(self, observation: Observation, lost: Array, period_factor: Array | None = None
                  ) -> Estimate:
         """Return the beliefs' positions, and who was lost."""
-        beliefs, size = self.beliefs, self.dimension
+        beliefs = self.beliefs
+        mean, covariance = self.moments()
         heard = observation.heard.sum(axis=1)
         rotation, rotation_variance = self.kinematics.rotation(beliefs.mean, beliefs.covariance)
         unknown = ~self.placed
         return Estimate(
             stamp=observation.stamp,
-            mean=np.where(unknown[:, None], np.nan, beliefs.mean[:, :size]),
-            covariance=np.where(
-                unknown[:, None, None], np.nan, beliefs.covariance[:, :size, :size]),
+            mean=mean, covariance=covariance,
             rotation=np.where(unknown, np.nan, rotation),
             rotation_variance=np.where(unknown, np.nan, rotation_variance),
             ess=np.zeros(len(unknown)), particles=0,
@@ -139,32 +143,18 @@ class GaussianFilter:
 
     def _bound(self, observation: Observation, known: Array) -> None:
         """Take in who was heard without being measured, and who was silent."""
-        channel = self.channel
-        measured = channel.distances(observation)[2] | channel.powered(observation)
-        radius = channel.radius(observation.max_range, observation.sender)
-        heard = observation.heard & (radius > 0) & ~measured & channel.switches.use_heard
-        relayed = heard & (observation.hops == 2)
-        edges = [(observation.sender, observation.position, observation.covariance, used, edge,
-                  side) for used, edge, side in (
-                      (heard, np.where(relayed, 2 * radius, radius), 1), (relayed, radius, -1))]
-        silent = observation.silent
-        if silent is not None and channel.switches.silence != 'none':
-            radius = channel.radius(silent.max_range, silent.sender)
-            # Ranges make silence superfluous.
-            used = silent.known & (radius > 0) & ~measured.any(axis=1, keepdims=True)
-            exact = np.zeros((*silent.position.shape, self.dimension))
-            edges.append((silent.sender, silent.position, exact, used, radius, -1))
-        for sender, position, covariance, used, edge, side in edges:
-            used = used & known[:, None]
+        measured = self.channel.distances(observation)[2] | self.channel.powered(observation)
+        for bound in bounds(self.channel, observation, measured):
+            used = bound.used & known[:, None]
+            if bound.silent:
+                # Ranges make silence superfluous.
+                used &= ~measured.any(axis=1, keepdims=True)
             for row in np.flatnonzero(used.any(axis=0)).tolist():
-                sight = self.beliefs.sight(position[:, row], covariance[:, row])
-                limit = np.where(used[:, row], edge[:, row], 1.0)
-                if channel.radio.radio_model == 'lognormal':
-                    sight, std = sight.on_log_scale(), 1 / channel.path_loss(sender[:, row]).slope
-                    limit = np.log10(limit)
-                else:
-                    std = _LOGISTIC_STD * channel.softness(limit)
-                self.beliefs.bound(used[:, row], sight, limit, side, std ** 2)
+                sight = self.beliefs.sight(bound.position[:, row], bound.covariance[:, row])
+                if bound.logarithmic:
+                    sight = sight.on_log_scale()
+                self.beliefs.bound(used[:, row], sight, bound.limit[:, row], bound.side,
+                                   bound.std[:, row] ** 2)
 
     def _lost(self, known: Array) -> Array:
         """Return which vehicles (V,) bool are not where they are believed to be."""

@@ -16,7 +16,8 @@ from std_srvs.srv import Empty
 from tsmcl_ros import messages
 from tsmcl_ros.config import build
 from tsmcl_ros.endpoint import Endpoint, OutputConfig
-from tsmcl_ros.localizer import CONFIGS, Localizer, LOST, OK, STALE
+from tsmcl_ros.localizer import CONFIGS, Localizer
+from tsmcl_ros.model.health import LOST, OK, STALE
 from tsmcl_ros.nodes import runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import select
@@ -198,7 +199,7 @@ class LocalizerNode(ManagedNode):
         health, estimate = self._localizer.health, self._estimate
         status = health.status
         silence = time.monotonic() - self._arrival
-        if silence > self._localizer.config.stale_after:
+        if silence > self._localizer.health_config.stale_after:
             status = np.maximum(status, STALE)
         common: dict[str, Any] = {
             'method': self._localizer.config.method, 'seed': self._localizer.config.seed,

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 from rclpy.time import Time
 from std_msgs.msg import ColorRGBA, Header
-from tsmcl_ros.localizer import LOST, OK, STALE
+from tsmcl_ros.model.health import LOST, OK, STALE
 from tsmcl_ros.types import Array, Estimate, Observation
 from visualization_msgs.msg import Marker, MarkerArray
 

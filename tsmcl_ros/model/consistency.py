@@ -1,0 +1,108 @@
+"""How far what is heard contradicts where vehicles were expected to be, reference by reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from tsmcl_ros.model import gaussian
+from tsmcl_ros.model.belief import Sight
+from tsmcl_ros.model.bounds import Bound, bounds
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.types import Array, Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """
+    What V vehicles heard, and did not hear, against what they expected.
+
+    Attributes
+    ----------
+    sender : (V, R) int
+        Identities; a sender may stand in several columns.
+    said : (V, R) bool
+        False where nothing is said, or nothing was expected.
+    silent : (V, R) bool
+        True where it is an anchor's silence that says something.
+    deviation : (V, R) float
+        By how many standard deviations it contradicts, of all that is uncertain: belief,
+        reference and measurement; 0 where it agrees.
+    """
+
+    sender: Array
+    said: Array
+    silent: Array
+    deviation: Array
+
+
+def deviations(channel: Channel, observation: Observation, mean: Array, covariance: Array
+               ) -> Deviations:
+    """
+    Compare an observation with a belief, taken to be Gaussian, from before it was known.
+
+    Parameters
+    ----------
+    channel : Channel
+        Tells what measurements and their absence mean.
+    observation : Observation
+        Of V vehicles.
+    mean, covariance : (V, D), (V, D, D) float
+        The predicted belief [m, m^2]; NaN where there is none.
+    """
+    known = np.isfinite(mean).all(axis=1)
+    belief = (np.where(known[:, None], mean, 0),
+              np.where(known[:, None, None], covariance, np.eye(mean.shape[1])))
+    distance, std, ranged = channel.distances(observation)
+    powered = channel.powered(observation)
+    columns = [(observation.sender, ranged | powered, False, np.maximum(
+        _of_ranges(belief, observation, distance, std, ranged),
+        _of_powers(channel, belief, observation, powered)))]
+    columns += [(bound.sender, bound.used, bound.silent, _of_bound(belief, bound))
+                for bound in bounds(channel, observation, ranged | powered)]
+    said = np.concatenate([used & known[:, None] for _, used, _, _ in columns], axis=1)
+    return Deviations(
+        np.concatenate([sender for sender, *_ in columns], axis=1), said,
+        np.concatenate([np.full(used.shape, silent) for _, used, silent, _ in columns], axis=1),
+        np.where(said, np.concatenate([value for *_, value in columns], axis=1), 0))
+
+
+def _of_ranges(belief: tuple[Array, Array], observation: Observation, distance: Array,
+               std: Array, ranged: Array) -> Array:
+    """Return by how many standard deviations ranges (V, K) are off."""
+    expected, variance = _expected(belief, observation.position, observation.covariance)
+    return np.where(ranged, np.abs(distance - expected) / np.sqrt(std ** 2 + variance), 0)
+
+
+def _of_powers(channel: Channel, belief: tuple[Array, Array], observation: Observation,
+               powered: Array) -> Array:
+    """Return by how many standard deviations rssi (V, K) is off."""
+    if not powered.any():
+        return np.zeros(powered.shape)
+    loss = channel.path_loss(observation.sender)
+    excess = (loss.reference - np.where(powered, observation.rssi, 0)) / (10 * loss.exponent)
+    expected, variance = _expected(
+        belief, observation.position, observation.covariance, logarithmic=True)
+    std = 1 / loss.slope
+    return np.where(powered, np.abs(excess - expected) / np.sqrt(std ** 2 + variance), 0)
+
+
+def _of_bound(belief: tuple[Array, Array], bound: Bound) -> Array:
+    """Return by how many standard deviations distances (V, B) are on the wrong side."""
+    expected, variance = _expected(belief, bound.position, bound.covariance, bound.logarithmic)
+    wrong = bound.side * (expected - bound.limit)
+    return np.asarray(np.maximum(wrong, 0) / np.sqrt(bound.std ** 2 + variance))
+
+
+def _expected(belief: tuple[Array, Array], position: Array, known: Array,
+              logarithmic: bool = False) -> tuple[Array, Array]:
+    """Return mean and variance (V, K) of distances, or of their log10, to (V, K, D) [m]."""
+    mean, covariance = belief
+    rows, size = position.shape[:2], position.shape[2]
+    covariance = np.repeat(covariance, rows[1], axis=0)
+    sight = Sight.to(np.repeat(mean, rows[1], axis=0), covariance,
+                     position.reshape(-1, size), known.reshape(-1, size, size))
+    if logarithmic:
+        sight = sight.on_log_scale()
+    variance = gaussian.innovation_variance(covariance, sight.gradient, sight.variance)
+    return sight.expected.reshape(rows), variance.reshape(rows)
