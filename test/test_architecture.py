@@ -18,7 +18,7 @@ MODEL = BASE | {'model'}
 WORLD = MODEL | {'traces', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
 RECORDS = {'types', 'cdr', 'messages', 'bag', 'csv_log'}
-LOWER = WORLD | LOCALIZER | RECORDS | {'endpoint'}
+LOWER = WORLD | LOCALIZER | RECORDS | {'endpoint', 'diagnosis'}
 OWN = {
     'types': set(),
     'config': {'types'},
@@ -32,6 +32,7 @@ OWN = {
     'traces': MODEL,
     'world': WORLD,
     'endpoint': LOCALIZER | RECORDS,
+    'diagnosis': LOCALIZER | RECORDS,
     'evaluation': LOWER,
     'nodes': LOWER | {'evaluation', 'scripts'},
     'scripts': LOWER | {'evaluation', 'nodes'},
@@ -56,6 +57,7 @@ OTHERS = {
     'traces': {'numpy'},
     'world': {'numpy', 'scipy'},
     'endpoint': {'numpy'},
+    'diagnosis': {'numpy'},
     'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},
     'evaluation.plots': {'numpy', 'matplotlib'},
     'nodes': {'numpy', 'tqdm', 'yaml', *ROS},

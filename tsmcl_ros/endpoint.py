@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from tsmcl_ros import messages
@@ -124,6 +125,33 @@ class Endpoint:
         if frame_id != self.frame_id:
             raise MessageError(
                 f'{what}: frame_id {frame_id!r} is not allowed, must be {self.frame_id!r}')
+
+
+class Rest:
+    """
+    A time of rest between two publications.
+
+    Parameters
+    ----------
+    period : float
+        [s]; with 0 it never ends.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._begin = -math.inf
+
+    def is_over(self, stamp: float) -> bool:
+        """Tell whether it is over, and if so begin anew."""
+        # Time may have gone back.
+        over = self._period > 0 and not 0 <= stamp - self._begin < self._period - 1e-6
+        if over:
+            self._begin = stamp
+        return over
+
+    def end(self) -> None:
+        """Let it be over."""
+        self._begin = -math.inf
 
 
 def _topic(namespace: str, name: str) -> str:

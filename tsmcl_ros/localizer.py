@@ -195,6 +195,11 @@ class Localizer:
         return self._now
 
     @property
+    def estimate(self) -> Estimate | None:
+        """The last epoch's estimate, None before the first."""
+        return self._estimate
+
+    @property
     def particles(self) -> Array:
         """(V, N, D) float32: the cloud [m]; (V, 0, D) before the first epoch."""
         if self._method is None:

@@ -126,7 +126,7 @@ def test_anchors_beacons_and_truth_are_carried_over_as_they_are(bag, tmp_path):
     kept = ['/anchor_map', '/veh_0/beacons', '/veh_0/ground_truth']
     assert read(tmp_path / 'out', *kept) == read(bag, *kept)
     with Reader(tmp_path / 'out') as reader:
-        assert set(reader.topics) == {*kept, '/veh_0/pose'}
+        assert set(reader.topics) == {*kept, '/veh_0/pose', '/diagnostics'}
         assert reader.latched == {'/anchor_map', '/veh_0/pose'}
 
 

@@ -8,6 +8,12 @@ what bags hold: a node and an offline run go through the same code.
 
 from tsmcl_ros.messages.beacons import BEACON, decode_beacons, encode_beacons
 from tsmcl_ros.messages.clouds import MAX_COORDINATE, POINT_CLOUD
+from tsmcl_ros.messages.diagnostics import (
+    decode_diagnostics,
+    Diagnosis,
+    DIAGNOSTICS,
+    encode_diagnostics,
+)
 from tsmcl_ros.messages.links import decode_links, encode_links, LINK
 from tsmcl_ros.messages.pacing import (
     CLOCK,
@@ -37,6 +43,7 @@ __all__ = [
     'CLOCK',
     'decode_beacons',
     'decode_clock',
+    'decode_diagnostics',
     'decode_links',
     'decode_odometries',
     'decode_odometry',
@@ -44,8 +51,11 @@ __all__ = [
     'decode_pose',
     'decode_poses',
     'decode_range',
+    'Diagnosis',
+    'DIAGNOSTICS',
     'encode_beacons',
     'encode_clock',
+    'encode_diagnostics',
     'encode_links',
     'encode_odometry',
     'encode_period',

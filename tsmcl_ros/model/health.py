@@ -5,8 +5,8 @@ Before an epoch's beacons are taken in they are held against the prediction. A r
 contradicted by a beacon now and then; a vehicle that is somewhere else is contradicted by most of
 them, and a sender that lies, or whose radio is broken, contradicts again and again what all others
 agree on. Two hidden Markov models weigh that, one for each vehicle (at its place or lost), one for
-each sender that a vehicle hears (sound or not). Who is in the minority of an epoch does not speak
-against the belief, and who is contradicted by a lost vehicle is not suspected.
+each sender that a vehicle hears (sound or not). Suspects do not speak against a belief, and whom
+the majority of an epoch's beacons contradicts has nobody to suspect.
 """
 
 from __future__ import annotations
@@ -93,9 +93,9 @@ class HealthMonitor:
         counts = deviations.said & ~(deviations.silent & ~contradicts)
         number = (counts & ~suspected).sum(axis=1)
         against = (contradicts & ~suspected).sum(axis=1)
-        outvoted = 2 * against > number
-        self._judge_vehicles(number, against, outvoted)
-        self._judge_senders(deviations.sender, contradicts, counts & ~outvoted[:, None])
+        self._judge_vehicles(number, against)
+        outvoted = (2 * against > number)[:, None]
+        self._judge_senders(deviations.sender, contradicts, counts & ~outvoted)
 
     def suspected(self, sender: Array) -> Array:
         """Return which senders, ids (V, R), their vehicles suspect."""
@@ -111,9 +111,9 @@ class HealthMonitor:
             found[pair >> _ID_BITS].append(pair & (1 << _ID_BITS) - 1)
         return found
 
-    def _judge_vehicles(self, number: Array, against: Array, outvoted: Array) -> None:
+    def _judge_vehicles(self, number: Array, against: Array) -> None:
         """Weigh what (V,) beacons, and how many against it, say of each vehicle's belief."""
-        change = np.where(outvoted, against * self._for, (number - against) * self._against)
+        change = against * self._for + (number - against) * self._against
         prior = self.lost + (1 - self.lost) * np.where(number > 0, self.config.loss_rate, 0)
         with np.errstate(divide='ignore'):
             odds = np.log(prior) - np.log1p(-prior) + change

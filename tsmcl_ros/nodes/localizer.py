@@ -7,17 +7,16 @@ from functools import partial
 import math
 import sys
 import time
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
 from tsmcl_ros.config import build
-from tsmcl_ros.endpoint import Endpoint, OutputConfig
+from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD, NAMES
+from tsmcl_ros.endpoint import Endpoint, OutputConfig, Rest
 from tsmcl_ros.localizer import CONFIGS, Localizer
-from tsmcl_ros.model.health import LOST, OK, STALE
+from tsmcl_ros.model.health import LOST, STALE
 from tsmcl_ros.nodes import runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import select
@@ -25,8 +24,6 @@ from tsmcl_ros.nodes.transforms import Broadcaster
 from tsmcl_ros.types import Estimate, MessageError, Observation
 from visualization_msgs.msg import MarkerArray
 
-_NAMES = {OK: 'OK', STALE: 'STALE', LOST: 'LOST'}
-_DIAGNOSTICS_PERIOD = 1.0  # s, real time
 _QOS = {
     'anchor_map': runtime.LATCHED_INPUT,
     'anchor_links': runtime.LATCHED_INPUT,
@@ -104,11 +101,10 @@ class LocalizerNode(ManagedNode):
         self._markers = self.create_lifecycle_publisher(
             MarkerArray, 'markers', runtime.LATCHED)
         self._marker_rest = Rest(self._output.marker_period)
-        self._diagnostics = self.create_lifecycle_publisher(
-            DiagnosticArray, '/diagnostics', runtime.RELIABLE)
+        self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
-            _DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_service(Empty, 'reinitialize_global_localization', self._reinitialize)
         self.create_service(Empty, 'request_nomotion_update', self._publish_again)
 
@@ -187,7 +183,7 @@ class LocalizerNode(ManagedNode):
         changed = status != self._status
         for value in np.unique(status[changed]).tolist():
             rows = np.flatnonzero(changed & (status == value)).tolist()
-            self.get_logger().info(f'{_NAMES[value]}: {_enumerate(self._vehicles, rows)}')
+            self.get_logger().info(f'{NAMES[value]}: {_enumerate(self._vehicles, rows)}')
         self._status = status
         if changed.any():
             self._diagnose()
@@ -196,27 +192,15 @@ class LocalizerNode(ManagedNode):
         """Publish how each vehicle's localization is doing."""
         if self.state != 'active':
             return
-        health, estimate = self._localizer.health, self._estimate
-        status = health.status
+        status = self._localizer.health.status
         silence = time.monotonic() - self._arrival
         if silence > self._localizer.health_config.stale_after:
             status = np.maximum(status, STALE)
-        common: dict[str, Any] = {
-            'method': self._localizer.config.method, 'seed': self._localizer.config.seed,
-            'latency [s]': self._latency, 'time since the last message [s]': silence,
-        }
-        facts = [
-            common | {'age of the last beacon [s]': float(health.age[vehicle]),
-                      're-initialisations': int(health.reinitializations[vehicle])}
-            | ({} if estimate is None else {
-                'particles': estimate.particles,
-                'effective particles': float(estimate.ess[vehicle]),
-                'beacons heard': int(estimate.heard[vehicle]),
-            })
-            for vehicle in range(len(self._vehicles))
-        ]
-        self._diagnostics.publish(views.diagnostics(
-            self.get_clock().now().to_msg(), self.get_name(), self._vehicles, status, facts))
+        diagnoses = diagnose(
+            self._localizer, self._vehicles, self.get_name(), status,
+            {'latency [s]': self._latency, 'time since the last message [s]': silence})
+        stamp = self.get_clock().now().nanoseconds / 1e9
+        self._diagnostics.publish(messages.encode_diagnostics(stamp, diagnoses))
 
     def _reinitialize(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
         for vehicle in range(len(self._vehicles)):
@@ -238,33 +222,6 @@ class LocalizerNode(ManagedNode):
         return Broadcaster(
             self, output.global_frame_id, output.odom_frame_id, output.base_frame_id,
             [f'{name[1:]}/' if name else '' for name in names], output.transform_tolerance)
-
-
-class Rest:
-    """
-    A time of rest between two publications.
-
-    Parameters
-    ----------
-    period : float
-        [s]; with 0 it never ends.
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self._begin = -math.inf
-
-    def is_over(self, stamp: float) -> bool:
-        """Tell whether it is over, and if so begin anew."""
-        # Time may have gone back.
-        over = self._period > 0 and not 0 <= stamp - self._begin < self._period - 1e-6
-        if over:
-            self._begin = stamp
-        return over
-
-    def end(self) -> None:
-        """Let it be over."""
-        self._begin = -math.inf
 
 
 def _enumerate(vehicles: list[str], rows: list[int], most: int = 5) -> str:

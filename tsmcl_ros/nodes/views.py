@@ -1,4 +1,4 @@
-"""What localizers show to people: diagnostics, and markers for RViz and Foxglove."""
+"""What localizers show to people: markers for RViz and Foxglove."""
 
 from __future__ import annotations
 
@@ -6,55 +6,16 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 from rclpy.time import Time
 from std_msgs.msg import ColorRGBA, Header
-from tsmcl_ros.model.health import LOST, OK, STALE
 from tsmcl_ros.types import Array, Estimate, Observation
 from visualization_msgs.msg import Marker, MarkerArray
 
-_LEVELS = {
-    OK: (DiagnosticStatus.OK, 'OK'),
-    STALE: (DiagnosticStatus.WARN, 'STALE: predicting through an outage'),
-    LOST: (DiagnosticStatus.ERROR, 'LOST: no beacon has told where the vehicle is'),
-}
 _THIN = 0.01  # m
 _BLUE = ColorRGBA(r=0.1, g=0.4, b=0.9, a=1.0)
 _PALE = ColorRGBA(r=0.1, g=0.4, b=0.9, a=0.05)
 _ORANGE = ColorRGBA(r=1.0, g=0.5, b=0.0, a=0.6)
-
-
-def diagnostics(
-    stamp: Any, node: str, vehicles: Sequence[str], status: Array,
-    facts: Sequence[dict[str, object]],
-) -> DiagnosticArray:
-    """
-    Return one status a vehicle.
-
-    Parameters
-    ----------
-    stamp
-        When, as a message.
-    node
-        Name of the node.
-    vehicles
-        Name of each vehicle, V of them.
-    status : (V,) int
-        OK, STALE or LOST.
-    facts
-        Of each vehicle, by name.
-    """
-    return DiagnosticArray(header=Header(stamp=stamp), status=[
-        DiagnosticStatus(
-            level=_LEVELS[int(now)][0],
-            name=f'{node}: {vehicle}',
-            message=_LEVELS[int(now)][1],
-            hardware_id=vehicle,
-            values=[KeyValue(key=key, value=_shown(value)) for key, value in known.items()],
-        )
-        for vehicle, now, known in zip(vehicles, status, facts, strict=True)
-    ])
 
 
 def markers(
@@ -126,7 +87,3 @@ def _place(marker: Marker, position: Array) -> None:
 
 def _time(stamp: float) -> Any:
     return Time(nanoseconds=round(stamp * 1e9)).to_msg()
-
-
-def _shown(value: object) -> str:
-    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.serialization import deserialize_message
 from tsmcl_ros import messages
+from tsmcl_ros.messages.diagnostics import FAILURE
 from tsmcl_ros.nodes import runtime
 
 
@@ -39,7 +38,7 @@ class Watch(runtime.Node):
         self.localized = 0
         self.listen('/clock', messages.CLOCK, self._take_time, runtime.SENSOR_DATA)
         self.listen(self._poses[-1], messages.POSE, self._take_pose, runtime.LATCHED_INPUT)
-        self.listen('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray',
+        self.listen('/diagnostics', messages.DIAGNOSTICS,
                     self._take_diagnostics, runtime.RELIABLE)
 
     def is_recorded(self) -> bool:
@@ -57,5 +56,5 @@ class Watch(runtime.Node):
         self.estimated = messages.decode_pose(data).stamp
 
     def _take_diagnostics(self, data: bytes) -> None:
-        vehicles = deserialize_message(data, DiagnosticArray).status
-        self.localized = sum(vehicle.level != DiagnosticStatus.ERROR for vehicle in vehicles)
+        _, vehicles = messages.decode_diagnostics(data)
+        self.localized = sum(vehicle.level != FAILURE for vehicle in vehicles)

@@ -10,6 +10,7 @@ import re
 import sys
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Message, Reader, STORAGES, Writer
@@ -21,7 +22,8 @@ from tsmcl_ros.config import (
     load_yaml,
     parameters,
 )
-from tsmcl_ros.endpoint import Endpoint, OutputConfig
+from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD
+from tsmcl_ros.endpoint import Endpoint, OutputConfig, Rest
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import BagError, Estimate, MessageError
@@ -101,9 +103,9 @@ def localize_bag(
     """
     Localize every vehicle of a bag and write a bag with the poses.
 
-    The new bag has, beside `NAMESPACE/pose`, what an evaluation needs of the old one: anchors,
-    beacons and ground truth. A pose's log time is that of the message that made it due. How it
-    was made is left in it, and how the old one was.
+    The new bag has, beside `NAMESPACE/pose` and `/diagnostics`, what an evaluation needs of the
+    old one: anchors, beacons and ground truth. A pose's log time is that of the message that made
+    it due. How it was made is left in it, and how the old one was.
 
     Parameters
     ----------
@@ -145,6 +147,8 @@ def localize_bag(
                 writer.topic(topic, reader.topics[topic], topic in reader.latched)
             for topic in endpoint.outputs:
                 writer.topic(topic, messages.POSE, latched=True)
+            writer.topic('/diagnostics', messages.DIAGNOSTICS)
+            outlet = _Outlet(endpoint, names, writer)
             total = sum(reader.counts[topic] for topic in wanted)
             stamp = reader.start
             for message in tqdm(reader.messages(wanted), total=total, unit='msg',
@@ -153,8 +157,8 @@ def localize_bag(
                 if message.topic in kept:
                     writer.write(message.topic, stamp, message.data)
                 _feed(endpoint, message, outcome)
-                outcome.poses += _write(endpoint, localizer.due(), writer, stamp)
-            outcome.poses += _write(endpoint, localizer.finish(), writer, stamp)
+                outcome.poses += outlet.write(localizer.due(), stamp)
+            outcome.poses += outlet.write(localizer.finish(), stamp)
     outcome.restarts = localizer.restarts
     return outcome
 
@@ -172,12 +176,44 @@ def _feed(endpoint: Endpoint, message: Message, outcome: Outcome) -> None:
         outcome.reject(message.topic, str(error))
 
 
-def _write(endpoint: Endpoint, estimates: list[Estimate], writer: Writer, stamp: float) -> int:
-    """Write the poses of some estimates and return how many these are."""
-    poses = [pose for estimate in estimates for pose in endpoint.poses(estimate)]
-    for vehicle, data in poses:
-        writer.write(endpoint.outputs[vehicle], stamp, data)
-    return len(poses)
+class _Outlet:
+    """
+    Writes what an endpoint's localizer says into the new bag.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+    names : sequence of str
+        Namespaces of its vehicles.
+    writer : Writer
+        With the topics registered.
+    """
+
+    def __init__(self, endpoint: Endpoint, names: Sequence[str], writer: Writer):
+        self._endpoint = endpoint
+        self._names = names
+        self._writer = writer
+        self._rest = Rest(DIAGNOSTICS_PERIOD)
+        self._status = np.full(len(names), -1)
+
+    def write(self, estimates: list[Estimate], stamp: float) -> int:
+        """Write what has become due at a log time [s]; return the number of poses."""
+        poses = [pose for estimate in estimates for pose in self._endpoint.poses(estimate)]
+        for vehicle, data in poses:
+            self._writer.write(self._endpoint.outputs[vehicle], stamp, data)
+        if estimates:
+            self._diagnose(estimates[-1].stamp, stamp)
+        return len(poses)
+
+    def _diagnose(self, now: float, stamp: float) -> None:
+        """Write how the vehicles are doing, now and then and when it changes."""
+        localizer = self._endpoint.localizer
+        status = localizer.health.status
+        changed = (status != self._status).any()
+        if self._rest.is_over(now) or changed:
+            self._status = status
+            self._writer.write('/diagnostics', stamp, messages.encode_diagnostics(
+                now, diagnose(localizer, self._names, 'localize_bag', status, {})))
 
 
 def _vehicles(reader: Reader) -> list[str]:

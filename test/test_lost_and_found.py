@@ -1,0 +1,111 @@
+"""Whether vehicles know when they are lost, and whom they suspect, in simulated worlds."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tsmcl_ros.config import load_yaml
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.health import LOST, OK
+from tsmcl_ros.world import make_world
+
+CONFIG = Path(__file__).resolve().parent.parent / 'config'
+VEHICLES = 16
+EPOCHS, MOVED = 70, 40
+RANGES = {'radio_range': 1500.0, 'measure_range': True, 'range_std': 2.0}
+WORLDS = {
+    'ranges': (RANGES, {'radio_range': 1500.0}),
+    'range-free': ({'radio_range': 1000.0}, load_yaml(CONFIG / 'range_free.yaml')),
+}
+
+
+def world_and_localizer(kind, **settings):
+    outside, inside = WORLDS[kind]
+    world = make_world({'vehicles': VEHICLES, 'odom_noise': 0.5, **outside},
+                       np.random.default_rng(3))
+    localizer = Localizer({'odom_std': 0.5, **inside, **settings}, VEHICLES)
+    localizer.anchor_map(world.anchors)
+    return world, localizer
+
+
+@cache
+def teleported(kind, method):
+    """
+    Return the status (T, V) of vehicles that are carried to where another one is at MOVED.
+
+    Only of those that knew their place and were carried further than radios reach: range-free,
+    nobody notices less at once.
+    """
+    world, localizer = world_and_localizer(kind, method=method)
+    other = np.roll(np.arange(VEHICLES), VEHICLES // 2)
+    status = []
+    for number in range(EPOCHS):
+        epoch = world.step()
+        observation, odometry, yaw = epoch.observation, epoch.odom_position, epoch.odom_yaw
+        if number < MOVED:
+            jump = odometry - odometry[other]
+            way = np.linalg.norm(epoch.position - epoch.position[other], axis=1)
+        else:
+            # Odometry does not notice that somebody has carried the vehicle away.
+            observation, odometry, yaw = observation.of(other), odometry[other] + jump, yaw[other]
+        estimate = localizer.epoch(observation, odometry, yaw)
+        status.append(localizer.health.status)
+        if number == MOVED - 1:
+            known = np.trace(estimate.covariance, axis1=1, axis2=2) < 100.0 ** 2
+    carried = known & (way > WORLDS[kind][0]['radio_range'])
+    assert carried.sum() >= 5
+    return np.array(status)[:, carried]
+
+
+CASES = pytest.mark.parametrize(('kind', 'method'), [
+    ('ranges', 'ts_mcl'), ('ranges', 'mcl'), ('ranges', 'r_mcl'), ('ranges', 'cooperative'),
+    ('ranges', 'ekf'), ('range-free', 'ts_mcl')])
+
+
+@CASES
+def test_a_teleported_vehicle_is_lost_within_5_epochs(kind, method):
+    assert (teleported(kind, method)[MOVED:MOVED + 5] == LOST).any(axis=0).all()
+
+
+@CASES
+def test_a_teleported_vehicle_is_found_again_within_20_epochs(kind, method):
+    assert (teleported(kind, method)[MOVED + 20:] == OK).all(axis=1).any()
+    assert (teleported(kind, method)[MOVED + 5:MOVED + 20] == OK).any(axis=0).all()
+
+
+@CASES
+def test_a_vehicle_that_has_found_its_place_is_not_lost(kind, method):
+    assert (teleported(kind, method)[20:MOVED] == OK).all()
+
+
+@pytest.mark.parametrize('method', ['ts_mcl', 'ekf', 'cooperative'])
+def test_who_lies_about_its_position_is_suspected_and_nobody_else(method):
+    world, localizer = world_and_localizer('ranges', method=method)
+    liar = int(world.anchors.sender[0, 5])
+    hears, names = np.zeros((2, VEHICLES), int)
+    for number in range(EPOCHS):
+        epoch = world.step()
+        lies = epoch.observation.sender == liar
+        if number >= MOVED:
+            epoch.observation.position[lies] += np.float32([300.0, -200.0])
+            hears += lies.any(axis=1)
+        localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+        for vehicle, suspects in enumerate(localizer.health.suspects):
+            assert set(suspects) <= {liar}
+            names[vehicle] += suspects == [liar]
+    assert (names[hears >= 10] > 0).all() and (hears >= 10).any()
+
+
+def test_who_asks_to_start_anew_suspects_nobody():
+    world, localizer = world_and_localizer('ranges')
+    for _ in range(20):
+        epoch = world.step()
+        epoch.observation.position[epoch.observation.sender == 5] += np.float32(400)
+        localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    assert any(localizer.health.suspects)
+    for vehicle in range(VEHICLES):
+        localizer.reinitialize(vehicle)
+    assert not any(localizer.health.suspects)
