@@ -210,7 +210,7 @@ def record() -> Callable[..., Path]:
 
     `record(path, {'/veh_0/pose': trajectory, '/veh_0/beacons': [observation]})` records
     trajectories as poses if they have a covariance, else as odometry, each message under its own
-    stamp.
+    stamp; what is serialized already comes as a pair of its type and rows of (stamp, bytes).
     """
     import numpy as np
     from tsmcl_ros import messages
@@ -218,6 +218,8 @@ def record() -> Callable[..., Path]:
     from tsmcl_ros.types import Odometry, Trajectory
 
     def rows_of(content: object) -> list[tuple[float, bytes]]:
+        if isinstance(content, tuple):
+            return list(content[1])
         if not isinstance(content, Trajectory):
             assert isinstance(content, list)
             return [(scan.stamp, messages.encode_beacons(scan, 'map')[0]) for scan in content]
@@ -234,13 +236,16 @@ def record() -> Callable[..., Path]:
                 content.stamp, content.position, content.covariance, content.yaw, strict=True)
         ]
 
-    def record_one(path: Path, topics: dict[str, object]) -> Path:
+    def record_one(path: Path, topics: dict[str, object],
+                   about: dict[str, str] | None = None) -> Path:
         rows: list[tuple[float, str, bytes]] = []
-        with Writer(path) as bag:
+        with Writer(path, about=about) as bag:
             for topic, content in topics.items():
                 kind = messages.POINT_CLOUD
                 if isinstance(content, Trajectory):
                     kind = messages.ODOMETRY if content.covariance is None else messages.POSE
+                elif isinstance(content, tuple):
+                    kind = content[0]
                 bag.topic(topic, kind)
                 rows += [(stamp, topic, data) for stamp, data in rows_of(content)]
             for stamp, topic, data in sorted(rows):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tsmcl_ros import messages
 from tsmcl_ros.bag import Writer
 from tsmcl_ros.evaluation.metrics import evaluate
 from tsmcl_ros.evaluation.recording import read_runs
@@ -152,6 +153,7 @@ def test_the_anchor_map_is_read(walk):
 
     assert run.anchors.tolist() == [[0, 1, 2], [3, 4, 5]]
     assert run.radio_range.tolist() == [30, 30]
+    assert run.anchor_ids.tolist() == [4, 9]
 
 
 def test_a_bag_without_an_anchor_map_has_no_anchors(walk):
@@ -186,6 +188,54 @@ def test_a_bag_without_beacons_says_nothing_of_outages(walk):
     bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate()})
 
     assert read_runs(bag)[0].outages == ()
+
+
+def told(stamp, name, level=0, **values):
+    """Return a row of diagnostics with one diagnosis."""
+    values = {'particles': '200', 'effective particles': '50', 'suspects': '', **values}
+    diagnosis = messages.Diagnosis(level, f'fleet: {name}', 'so', name, values)
+    return CLOCK + stamp, messages.encode_diagnostics(CLOCK + stamp, [diagnosis])
+
+
+def test_what_localizers_say_of_their_vehicles_is_read(walk):
+    rows = [told(10.0, '/veh_0'), told(20.0, '/veh_0', 2, suspects='3, 4'),
+            told(20.5, '/another/robots/motor', 1)]
+    bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate(),
+                '/diagnostics': (messages.DIAGNOSTICS, rows)})
+
+    conditions = read_runs(bag)[0].conditions
+
+    assert conditions.keys() == {'veh_0'}
+    assert conditions['veh_0'].level.tolist() == [0, 2]
+    assert conditions['veh_0'].suspects == {3: 0.5, 4: 0.5}
+
+
+def test_methods_below_a_vehicles_namespace_have_conditions_of_their_own(walk):
+    rows = [told(10.0, '/veh_0/mcl', 1), told(10.0, '/veh_0/ts_mcl', 2)]
+    bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/mcl/pose': estimate(4.0),
+                '/veh_0/ts_mcl/pose': estimate(), '/diagnostics': (messages.DIAGNOSTICS, rows)})
+
+    assert [run.conditions['veh_0'].level.tolist() for run in read_runs(bag)] == [[1], [2]]
+
+
+def test_a_localizer_without_namespace_is_known_by_that_of_ros(walk):
+    bag = walk({'/ground_truth': truth(), '/pose': estimate(),
+                '/diagnostics': (messages.DIAGNOSTICS, [told(10.0, '/', 1)])})
+
+    assert read_runs(bag)[0].conditions['vehicle'].level.tolist() == [1]
+
+
+def test_a_bag_without_diagnostics_has_no_conditions(walk):
+    bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate()})
+
+    assert read_runs(bag)[0].conditions == {}
+
+
+def test_what_a_bag_is_about_is_read(record, tmp_path):
+    topics = {'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate()}
+    bag = record(tmp_path / 'walk', topics, {'command': 'walk on'})
+
+    assert read_runs(bag)[0].about == {'command': 'walk on'}
 
 
 def test_a_bag_without_poses_is_refused_saying_what_it_holds(walk):

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from tsmcl_ros.evaluation.condition import Condition
 from tsmcl_ros.evaluation.metrics import compare, mean_of
 from tsmcl_ros.evaluation.recording import Run
 from tsmcl_ros.evaluation.report import render, write_report
@@ -24,9 +25,20 @@ def vehicle(seed):
 
 
 @cache
-def run(label='walk', vehicles=1, notes=(), outages=()):
-    return Run(label, {f'veh_{index}': vehicle(index) for index in range(vehicles)},
-               np.zeros((2, 3)), np.array([30.0, np.nan]), outages, notes)
+def run(label='walk', vehicles=1, notes=(), outages=(), told=False, about=(), particles=200.0):
+    names = [f'veh_{index}' for index in range(vehicles)]
+    return Run(label, {name: vehicle(index) for index, name in enumerate(names)},
+               np.zeros((2, 3)), np.array([30.0, np.nan]), outages, notes,
+               np.array([4, 9], np.int32),
+               {name: condition(particles) for name in names} if told else {}, dict(about))
+
+
+@cache
+def condition(particles):
+    """Return a condition that names sender 9 half of the time, and sender 4 hardly ever."""
+    stamp = np.arange(30.0)
+    every = np.full(30, particles)
+    return Condition(stamp, np.arange(30) % 3, every, every / 2, {4: 0.01, 9: 0.5, 77: 0.5})
 
 
 class Page(HTMLParser):
@@ -61,6 +73,19 @@ class Page(HTMLParser):
             self.words.append(data)
         if self.open and self.open[-1] in ('td', 'th'):
             self.rows[-1].append(data)
+
+
+def climbing():
+    """Return a run of a vehicle whose height is estimated."""
+    stamp, path = np.arange(9.0), np.outer(np.arange(9.0), np.ones(3))
+    part = compare(Trajectory(stamp, path + 1, stamp, np.tile(np.eye(3), (9, 1, 1))),
+                   Trajectory(stamp, path, stamp))
+    return Run('climb', {'veh_0': part}, np.zeros((2, 3)), np.full(2, np.nan), (), ())
+
+
+def comments(*runs):
+    """Return what is written in the plots: matplotlib draws it, and says it in a comment."""
+    return {text.strip() for text in re.findall('<!--(.*?)-->', text_of(*runs))}
 
 
 @cache
@@ -125,8 +150,30 @@ def test_one_run_has_its_four_plots():
     assert page(run()).tags.count('svg') == 4
 
 
+def test_what_localizers_say_of_themselves_is_one_plot_more():
+    assert page(run(told=True)).tags.count('svg') == 5
+    assert {'OK', 'STALE', 'LOST'} <= comments(run(told=True))
+
+
+def test_estimators_without_particles_have_no_plot_of_them():
+    assert page(run(told=True, particles=1.0)).tags.count('svg') == 4
+
+
+def test_suspects_are_told_and_those_that_are_anchors_marked():
+    words = ' '.join(page(run(vehicles=3, told=True)).words)
+
+    assert 'Suspected senders: 9 (by 3 of the vehicles), 77 (by 3 of the vehicles).' in words
+    assert {'suspect', '9'} <= comments(run(vehicles=3, told=True))
+    assert '77' not in comments(run(vehicles=3, told=True))
+
+
+def test_a_vehicle_that_knows_its_height_is_seen_from_aside_too():
+    assert page(climbing()).tags.count('svg') == 5
+    assert 'z [m]' in comments(climbing())
+
+
 def test_several_runs_share_the_plots_that_compare_them():
-    assert page(run('a'), run('b')).tags.count('svg') == 2 + 2 * 3
+    assert page(run('a'), run('b')).tags.count('svg') == 3 + 2 * 3
 
 
 def test_ids_are_unique_in_the_page():
@@ -139,6 +186,19 @@ def test_command_and_parameters_are_shown():
     words = page(run(), command='evaluate walk --skip 5', parameters=(('skip', '5 s'),)).words
 
     assert {'evaluate walk --skip 5', 'skip', '5 s'} <= set(words)
+
+
+def test_each_run_tells_how_its_bag_was_made():
+    about = (('command', 'localize_bag walk'), ('localizer', 'seed: 1\nmethod: <mcl>\n'))
+
+    words = page(run(about=about)).words
+
+    assert {'How this run was made', 'localize_bag walk', 'localizer',
+            'seed: 1\nmethod: <mcl>'} <= set(words)
+
+
+def test_a_bag_that_does_not_say_how_it_was_made_is_not_asked():
+    assert 'How this run was made' not in page(run()).words
 
 
 def test_notes_are_shown():

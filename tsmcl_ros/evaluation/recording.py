@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+import math
 from pathlib import Path
 
 import numpy as np
 from tsmcl_ros.bag import Reader
+from tsmcl_ros.evaluation.condition import Condition, read_conditions
 from tsmcl_ros.evaluation.metrics import compare, Comparison, MAX_AGE, Metrics, pool
 from tsmcl_ros.messages import (
     decode_beacons,
     decode_odometries,
     decode_poses,
+    DIAGNOSTICS,
     ODOMETRY,
     POINT_CLOUD,
     POSE,
@@ -42,6 +45,12 @@ class Run:
         Times of more than `OUTAGE` in which no vehicle heard a beacon [s].
     notes : tuple of str
         What the reader of the metrics ought to know.
+    anchor_ids : (A,) int32
+        Of the anchors.
+    conditions : mapping of name to Condition
+        How those vehicles that said so were doing, in the evaluated time.
+    about : mapping of str to str
+        What the bag says of how it was made, see `tsmcl_ros.bag.Writer`.
     """
 
     label: str
@@ -50,6 +59,9 @@ class Run:
     radio_range: Array
     outages: tuple[tuple[float, float], ...]
     notes: tuple[str, ...]
+    anchor_ids: Array = field(default_factory=lambda: np.empty(0, np.int32))
+    conditions: Mapping[str, Condition] = field(default_factory=dict)
+    about: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def overall(self) -> Metrics:
@@ -94,7 +106,7 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
     MessageError
         If a pose or a ground truth is malformed; the text names bag and topic.
     """
-    topics, messages = _read(path)
+    about, topics, messages = _read(path)
     truths = {_namespace(topic): topic for topic in _named(topics, 'ground_truth', ODOMETRY)}
     poses = {_namespace(topic): topic for topic in _named(topics, 'pose', POSE)}
     _require(path, topics, poses, 'pose', POSE)
@@ -119,7 +131,7 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
         notes.append(f'no pose topic, so not evaluated: {_list(map(_vehicle_name, unlocalized))}')
 
     trajectories = _decode(path, pairs, messages)
-    anchors, radio_range = _anchor_map(topics, messages)
+    anchor_ids, anchors, radio_range = _anchor_map(topics, messages)
     label = Path(path).resolve().name if label is None else label
     runs = []
     for method, vehicles in pairs.items():
@@ -134,6 +146,9 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
             radio_range=radio_range,
             outages=_outages(vehicles, compared.values(), messages),
             notes=(*notes, *_left_out(compared.values())),
+            anchor_ids=anchor_ids,
+            conditions=_conditions(topics, messages, vehicles, compared),
+            about=about,
         )
         if not any(len(part.error) for part in compared.values()):
             raise BagError(
@@ -146,17 +161,18 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
     return runs
 
 
-def _read(path: str | Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
-    """Return the bag's topics with their types, and the messages of those of interest."""
+def _read(path: str | Path
+          ) -> tuple[dict[str, str], dict[str, str], dict[str, list[bytes]]]:
+    """Return what the bag is about, its topics with their types, and those of interest."""
     wanted = {'pose': POSE, 'ground_truth': ODOMETRY, 'beacons': POINT_CLOUD,
-              'anchor_map': POINT_CLOUD}
+              'anchor_map': POINT_CLOUD, 'diagnostics': DIAGNOSTICS}
     messages: dict[str, list[bytes]] = defaultdict(list)
     with Reader(path) as reader:
         topics = dict(reader.topics)
         chosen = [topic for name, kind in wanted.items() for topic in _named(topics, name, kind)]
         for message in reader.messages(chosen):
             messages[message.topic].append(message.data)
-    return topics, messages
+        return reader.about, topics, messages
 
 
 def _named(topics: Mapping[str, str], name: str, kind: str) -> list[str]:
@@ -213,16 +229,16 @@ def _decode(path: str | Path, pairs: Mapping[str, Mapping[str, tuple[str, str]]]
 
 
 def _anchor_map(topics: Mapping[str, str],
-                messages: Mapping[str, Sequence[bytes]]) -> tuple[Array, Array]:
-    """Return positions (A, 3) and radio ranges (A,) of the first readable anchor map."""
+                messages: Mapping[str, Sequence[bytes]]) -> tuple[Array, Array, Array]:
+    """Return ids (A,), positions (A, 3) and radio ranges (A,) of the first readable map."""
     for topic in _named(topics, 'anchor_map', POINT_CLOUD):
         for data in messages.get(topic, ()):
             try:
                 observation, _ = decode_beacons(data)
             except MessageError:
                 continue
-            return observation.position[0], observation.max_range[0]
-    return np.empty((0, 3), np.float32), np.empty(0, np.float32)
+            return observation.sender[0], observation.position[0], observation.max_range[0]
+    return np.empty(0, np.int32), np.empty((0, 3), np.float32), np.empty(0, np.float32)
 
 
 def _outages(homes: Iterable[str], compared: Iterable[Comparison],
@@ -237,17 +253,36 @@ def _outages(homes: Iterable[str], compared: Iterable[Comparison],
                 continue  # The localizer rejected it, too.
             if observation.heard.any():
                 heard.append(observation.stamp)
-    parts = [part for part in compared if part.duration]
-    if not heard or not parts:
+    start, end = _evaluated(compared)
+    if not heard or start > end:
         return ()
-    start = min(part.end - part.duration for part in parts)
-    end = max(part.end for part in parts)
     inside = sorted(stamp for stamp in heard if start < stamp < end)
     edges = [start, *inside, end]
     return tuple(
         (begin, until) for begin, until in zip(edges, edges[1:], strict=False)
         if until - begin > OUTAGE
     )
+
+
+def _conditions(
+    topics: Mapping[str, str], messages: Mapping[str, Sequence[bytes]],
+    vehicles: Mapping[str, tuple[str, str]], compared: Mapping[str, Comparison],
+) -> dict[str, Condition]:
+    """Return the conditions of those vehicles whose localizer diagnosed itself."""
+    begin, end = _evaluated(compared.values())
+    found = read_conditions(
+        (data for topic in _named(topics, 'diagnostics', DIAGNOSTICS)
+         for data in messages.get(topic, ())), begin, end)
+    # A localizer names itself by the namespace in which its pose is.
+    names = {_vehicle_name(home): _namespace(pose) or '/' for home, (pose, _) in vehicles.items()}
+    return {name: found[namespace] for name, namespace in names.items() if namespace in found}
+
+
+def _evaluated(compared: Iterable[Comparison]) -> tuple[float, float]:
+    """Return from when to when anything was evaluated [s]."""
+    parts = [part for part in compared if part.duration]
+    return (min((part.end - part.duration for part in parts), default=math.inf),
+            max((part.end for part in parts), default=-math.inf))
 
 
 def _left_out(compared: Iterable[Comparison]) -> list[str]:

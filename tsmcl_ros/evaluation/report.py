@@ -7,12 +7,26 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tsmcl_ros.evaluation import plots
-from tsmcl_ros.evaluation.metrics import COLUMNS, Metrics, pool
+from tsmcl_ros.evaluation.metrics import Metrics, pool
+from tsmcl_ros.evaluation.page import (
+    columns,
+    figure,
+    folded,
+    metrics_table,
+    page,
+    parameter_table,
+)
 from tsmcl_ros.evaluation.recording import OUTAGE, Run
+from tsmcl_ros.types import Array
 
 # The table of more vehicles than this is folded away on the screen.
 UNFOLDED = 12
+# Widths of the page's two columns, which their plots are drawn for [inch].
+LEFT, RIGHT = 5.6, 6.4
+# A sender that fewer diagnoses suspect, in the vehicle that suspects it most, is not named.
+SUSPICION = 0.05
 
 
 def write_report(path: str | Path, runs: Sequence[Run], command: str,
@@ -25,7 +39,7 @@ def write_report(path: str | Path, runs: Sequence[Run], command: str,
     path : str or Path
         The HTML file; overwritten.
     runs : sequence of Run
-        One section each, and all in the table on top; several are also compared in one plot.
+        One section each, and all in the table on top; several are also compared in plots.
     command : str
         The command line that made the report.
     parameters : mapping
@@ -40,37 +54,21 @@ def render(runs: Sequence[Run], command: str, parameters: Mapping[str, Any],
            mean: Metrics | None = None) -> str:
     """Return the text of the report; the parameters are those of `write_report`."""
     title = 'Localization against ground truth'
-    body = [
+    names = ', '.join(run.label for run in runs)
+    return page(f'{names}: {title}', '\n'.join([
         f'<h1>{title}</h1>',
-        _table('run', {run.label: run.overall for run in runs}, mean),
+        metrics_table('run', {run.label: run.overall for run in runs}, mean),
         _explanation(runs),
         _comparison(runs) if len(runs) > 1 else '',
         *(_section(run, f'run{index}', len(runs) == 1) for index, run in enumerate(runs)),
-        '<h2>How this was made</h2>',
+        '<h2>How this report was made</h2>',
         f'<pre>{escape(command)}</pre>',
-        _parameters(parameters),
-    ]
-    names = ', '.join(run.label for run in runs)
-    return _PAGE.format(title=f'{escape(names)}: {title}', style=_STYLE, body='\n'.join(body))
-
-
-def _table(heading: str, rows: Mapping[str, Metrics], mean: Metrics | None = None) -> str:
-    head = ''.join(f'<th scope="col">{escape(text)}</th>'
-                   for text in (heading, *(text for _, text, _ in COLUMNS)))
-    body = ''.join(_row(label, metrics) for label, metrics in rows.items())
-    foot = f'<tfoot>{_row("mean", mean)}</tfoot>' if mean else ''
-    return ('<div class="wide"><table class="metrics">'
-            f'<thead><tr>{head}</tr></thead><tbody>{body}</tbody>{foot}</table></div>')
-
-
-def _row(label: str, metrics: Metrics) -> str:
-    cells = ''.join(f'<td>{escape(cell)}</td>' for cell in metrics.cells())
-    return f'<tr><th scope="row">{escape(label)}</th>{cells}</tr>'
+        parameter_table(parameters),
+    ]))
 
 
 def _explanation(runs: Iterable[Run]) -> str:
-    dimensions = sorted({part.truth.position.shape[1]
-                         for run in runs for part in run.vehicles.values() if len(part.error)})
+    dimensions = sorted({_dimension(run) for run in runs})
     expected = ' or '.join(map(str, dimensions))
     return (
         '<p class="small">Errors are distances between estimate and interpolated truth, without '
@@ -80,42 +78,87 @@ def _explanation(runs: Iterable[Run]) -> str:
 
 
 def _comparison(runs: Sequence[Run]) -> str:
-    figure, ax = plots.panel(6.4, 3.4)
-    plots.median_error_over_time(ax, {run.label: run.vehicles for run in runs})
-    medians = _figure(plots.svg(figure, 'medians'),
-                      'Position error over time, median of the vehicles')
-    return f'<h2>All runs</h2>{_columns(_error_cdf(runs, 5.6, 3.4), medians)}'
+    vehicles = {run.label: run.vehicles for run in runs}
+    drawing, ax = plots.panel(RIGHT, 2.9)
+    plots.median_error_over_time(ax, vehicles)
+    medians = figure(plots.svg(drawing, 'medians'),
+                     'Position error over time, median of the vehicles')
+    share = _error_cdf(runs, 6.2)
+    return f'<h2>All runs</h2>{columns(share, medians + _nees(vehicles, "nees", 2.9))}'
 
 
 def _section(run: Run, name: str, alone: bool) -> str:
     """Return a run's plots and, of several vehicles, their table."""
-    figure, ax = plots.panel(5.6, 5.4)
-    plots.map_view(ax, run.vehicles, run.anchors, run.radio_range)
-    where = _figure(plots.svg(figure, f'{name}-map'),
-                    'Where the vehicles were, and where they were taken to be')
-    height = 3.7 if alone else 2.6
-    figure, ax = plots.panel(6.4, height)
-    plots.error_over_time(ax, run.vehicles, run.outages)
-    error = _figure(plots.svg(figure, f'{name}-error'), 'Position error over time')
-    figure, ax = plots.panel(6.4, height)
-    plots.nees_over_time(ax, run.vehicles)
-    nees = _figure(plots.svg(figure, f'{name}-nees'),
-                   'Covariance against error: above the band it promises too much, below too '
-                   'little')
-    share = _error_cdf([run], 5.6, 2.3) if alone else ''
+    particles = _particles(run, name)
+    # What makes both columns about as long.
+    height = 2.6 if alone == bool(particles) else 3.6
+    left = _maps(run, name) + (_error_cdf([run], 2.9) if alone else particles)
+    right = (_error(run, name, height)
+             + _nees({run.label: run.vehicles}, f'{name}-nees', height)
+             + (particles if alone else ''))
     return '\n'.join([
         f'<h2>{escape(run.label)}</h2>',
         f'<p>{escape(_summary(run))}</p>',
         *(f'<p class="note">{escape(note)}</p>' for note in run.notes),
-        _columns(where + share, error + nees),
+        columns(left, right),
         _vehicle_table(run),
+        _origin(run),
     ])
 
 
-def _error_cdf(runs: Sequence[Run], width: float, height: float) -> str:
-    figure, ax = plots.panel(width, height)
+def _maps(run: Run, name: str) -> str:
+    """Return the map, and what is seen from aside where height is estimated."""
+    places = _suspect_places(run)
+    drawing, ax = plots.panel(LEFT, 5.4)
+    plots.map_view(ax, run.vehicles, run.anchors, run.radio_range, places)
+    shown = figure(plots.svg(drawing, f'{name}-map'),
+                   'Where the vehicles were, and where they were taken to be')
+    if _dimension(run) == 3:
+        drawing, ax = plots.panel(LEFT, 3.0)
+        plots.map_view(ax, run.vehicles, run.anchors, None, places, upright=2)
+        shown += figure(plots.svg(drawing, f'{name}-aside'), 'The same, seen from aside')
+    return shown
+
+
+def _error(run: Run, name: str, height: float) -> str:
+    """Return the error over time, and below it what the vehicles said of themselves."""
+    caption = 'Position error over time'
+    if not run.conditions:
+        drawing, ax = plots.panel(RIGHT, height)
+        plots.error_over_time(ax, run.vehicles, run.outages)
+    else:
+        rows = len(run.conditions)
+        strip = 0.85 if rows > plots.DISTINCT else 0.45 + 0.14 * rows
+        drawing, (ax, below) = plots.stack(RIGHT, [height, strip])
+        plots.error_over_time(ax, run.vehicles, run.outages)
+        plots.status_over_time(below, run.conditions, plots.time_origin(run.vehicles))
+        caption += '; below, what the localizer took its estimates for'
+    return figure(plots.svg(drawing, f'{name}-error'), caption)
+
+
+def _nees(runs: Mapping[str, Any], name: str, height: float) -> str:
+    drawing, ax = plots.panel(RIGHT, height)
+    plots.nees_over_time(ax, runs)
+    return figure(plots.svg(drawing, name),
+                  'Covariance against error: above the band it promises too much, below too '
+                  'little')
+
+
+def _particles(run: Run, name: str) -> str:
+    if not any((part.particles > 1).any() for part in run.conditions.values()):
+        return ''
+    drawing, (above, below) = plots.stack(RIGHT, [1.2, 1.5])
+    start = plots.time_origin(run.vehicles)
+    plots.particles_over_time(above, run.conditions, start)
+    plots.effective_over_time(below, run.conditions, start)
+    return figure(plots.svg(drawing, f'{name}-particles'),
+                  'Particles, and the share of them that carries the weight (ESS)')
+
+
+def _error_cdf(runs: Sequence[Run], height: float) -> str:
+    drawing, ax = plots.panel(LEFT, height)
     plots.error_cdf(ax, {run.label: run.error for run in runs})
-    return _figure(plots.svg(figure, 'cdf'), 'Share of the epochs with at most this error')
+    return figure(plots.svg(drawing, 'cdf'), 'Share of the epochs with at most this error')
 
 
 def _summary(run: Run) -> str:
@@ -129,92 +172,44 @@ def _summary(run: Run) -> str:
         count = len(run.outages)
         parts.append(f'{count} outage{"s" if count > 1 else ""} of more than {OUTAGE:g} s without '
                      f'beacons, the longest {longest:.0f} s')
-    return ', '.join(parts) + '.'
+    text = ', '.join(parts) + '.'
+    if suspects := _suspects(run):
+        alone = len(run.vehicles) == 1
+        senders = (f'{identity}' if alone else f'{identity} (by {count} of the vehicles)'
+                   for identity, count in suspects.items())
+        text += f' Suspected senders: {", ".join(senders)}.'
+    return text
+
+
+def _suspects(run: Run) -> dict[int, int]:
+    """Return how many vehicles suspect each sender that is suspected for long enough."""
+    worst: dict[int, list[float]] = {}
+    for part in run.conditions.values():
+        for identity, share in part.suspects.items():
+            worst.setdefault(identity, []).append(share)
+    return {identity: len(shares) for identity, shares in sorted(worst.items())
+            if max(shares) >= SUSPICION}
+
+
+def _suspect_places(run: Run) -> dict[int, Array]:
+    """Return where those suspects are that are anchors."""
+    rows = np.flatnonzero(np.isin(run.anchor_ids, list(_suspects(run)))).tolist()
+    return {int(run.anchor_ids[row]): run.anchors[row] for row in rows}
+
+
+def _dimension(run: Run) -> int:
+    return max(int(part.truth.position.shape[1]) for part in run.vehicles.values())
 
 
 def _vehicle_table(run: Run) -> str:
     if len(run.vehicles) == 1:
         return ''
-    table = _table('vehicle', {name: pool([part]) for name, part in run.vehicles.items()})
-    unfolded = ' open' if len(run.vehicles) <= UNFOLDED else ''
-    return f'<details{unfolded}><summary>Every vehicle</summary>{table}</details>'
+    table = metrics_table('vehicle', {name: pool([part]) for name, part in run.vehicles.items()})
+    return folded('Every vehicle', table, len(run.vehicles) <= UNFOLDED)
 
 
-def _columns(left: str, right: str) -> str:
-    return f'<div class="plots"><div>{left}</div><div>{right}</div></div>'
-
-
-def _figure(svg: str, caption: str) -> str:
-    return f'<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>'
-
-
-def _parameters(parameters: Mapping[str, Any]) -> str:
-    rows = ''.join(
-        f'<tr><th scope="row">{escape(str(name))}</th><td>{escape(str(value))}</td></tr>'
-        for name, value in parameters.items())
-    return f'<table>{rows}</table>' if rows else ''
-
-
-# The policy lets a browser hold that the report loads nothing from anywhere.
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-{body}
-</body>
-</html>
-"""
-
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1b1b1f; --page: #fff; --faint: #5c5f66;
-  --line: #d5d8dd; --shade: #f4f5f7; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e7ea; --page: #16181c; --faint: #a2a6ae; --line: #3a3e45; --shade: #202329;
-    --first: #3d9fe0; }
-}
-body { color: var(--ink); background: var(--page); font: 15px/1.5 system-ui, sans-serif;
-  max-width: 76rem; margin: 2rem auto; padding: 0 1.25rem; }
-h1 { font-size: 1.6rem; font-weight: 600; margin: 0 0 1rem; }
-h2 { font-size: 1.2rem; font-weight: 600; margin: 2.5rem 0 .5rem; overflow-wrap: anywhere; }
-p { margin: .5rem 0; max-width: 60rem; }
-.small, .note, figcaption { color: var(--faint); font-size: .87rem; }
-.note { border-left: 3px solid #e69f00; padding-left: .7rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .93rem; }
-th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--line); text-align: left; }
-th[scope=row] { font-weight: 400; overflow-wrap: break-word; }
-thead th { font-weight: 600; white-space: nowrap; border-bottom: 2px solid var(--ink); }
-.metrics td, .metrics thead th + th { text-align: right; font-variant-numeric: tabular-nums; }
-.metrics tbody tr:hover { background: var(--shade); }
-tfoot th[scope=row], tfoot td { font-weight: 600; border-top: 1px solid var(--ink); }
-pre { background: var(--shade); padding: .7rem .9rem; overflow-x: auto; white-space: pre-wrap;
-  overflow-wrap: anywhere; }
-figure { margin: .75rem 0 1.25rem; break-inside: avoid; }
-figure svg { display: block; width: 100%; height: auto; color: var(--ink); }
-sup { line-height: 0; }
-details { margin: .5rem 0; }
-summary { cursor: pointer; }
-.plots { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.15fr); gap: 0 2rem; }
-@media (max-width: 56rem), print { .plots { grid-template-columns: minmax(0, 1fr); } }
-@media print {
-  :root { color-scheme: light; --ink: #000; --page: #fff; --faint: #444; --line: #bbb;
-    --shade: #fff; --first: #0072b2; }
-  body { margin: 0; max-width: none; font-size: 10pt; }
-  h2, h2 + p, .note, summary { break-after: avoid; }
-  .wide { overflow-x: visible; }
-  table { font-size: 8.5pt; }
-  th, td { padding: .2rem .45rem; }
-  figure svg { max-width: 5.4in; }
-  details::details-content { content-visibility: visible; height: auto; }
-  tr { break-inside: avoid; }
-  pre { border: 1px solid var(--line); }
-}
-"""
+def _origin(run: Run) -> str:
+    """Return what the bag says of how it was made."""
+    texts = [(f'<p>{escape(name)}</p>' if name != 'command' else '')
+             + f'<pre>{escape(text.rstrip())}</pre>' for name, text in run.about.items()]
+    return folded('How this run was made', ''.join(texts)) if texts else ''

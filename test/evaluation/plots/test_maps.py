@@ -60,6 +60,23 @@ def test_radio_disks_do_not_widen_the_view(ax):
     assert other.get_xlim() == pytest.approx(without)
 
 
+def test_suspects_are_marked_with_their_ids_where_they_stand(ax):
+    plots.map_view(ax, fleet(1), suspects={7: np.array([30.0, 40.0, 5.0])})
+
+    assert lines(ax)['suspect'].get_xydata().tolist() == [[30, 40]]
+    assert [(text.get_text(), text.xy) for text in ax.texts] == [('7', (30, 40))]
+
+
+def test_the_map_can_be_seen_from_aside(ax):
+    plots.map_view(ax, fleet(1, dimension=3), np.array([[1.0, 2.0, 3.0]]), upright=2)
+
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ('x [m]', 'z [m]')
+    assert lines(ax)['anchor'].get_xydata().tolist() == [[1, 3]]
+    np.testing.assert_array_equal(
+        lines(ax)['estimate'].get_xydata(),
+        fleet(1, dimension=3)['veh_0'].estimate.position[:, [0, 2]])
+
+
 def test_long_tracks_are_drawn_as_an_image(ax, monkeypatch):
     monkeypatch.setattr(maps, 'VECTOR', 100)
     plots.map_view(ax, fleet(1))

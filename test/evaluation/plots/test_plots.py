@@ -4,7 +4,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from fleets import CLOCK, fleet, vehicle
+from fleets import CLOCK, conditions, fleet, vehicle
 import numpy as np
 import pytest
 from tsmcl_ros.evaluation import plots
@@ -15,7 +15,11 @@ DRAWINGS = {
     'medians': lambda ax, vehicles: plots.median_error_over_time(ax, {'a': vehicles}),
     'cdf': lambda ax, vehicles: plots.error_cdf(
         ax, {name: part.error for name, part in vehicles.items()}),
-    'nees': plots.nees_over_time,
+    'nees': lambda ax, vehicles: plots.nees_over_time(ax, {'a': vehicles}),
+    'status': lambda ax, vehicles: plots.status_over_time(ax, conditions(len(vehicles)), CLOCK),
+    'particles': lambda ax, vehicles: plots.particles_over_time(
+        ax, conditions(len(vehicles)), CLOCK),
+    'ess': lambda ax, vehicles: plots.effective_over_time(ax, conditions(len(vehicles)), CLOCK),
 }
 
 
@@ -40,6 +44,8 @@ def test_a_vehicle_that_was_never_localized_does_not_disturb(ax, name):
     ('medians', 'time [s]', 'position error [m]'),
     ('cdf', 'position error [m]', 'share of epochs'),
     ('nees', 'time [s]', 'NEES'),
+    ('particles', 'time [s]', 'particles'),
+    ('ess', 'time [s]', 'effective [%]'),
 ])
 def test_axes_are_labelled_with_units(ax, name, x, y):
     DRAWINGS[name](ax, fleet(1))

@@ -1,6 +1,6 @@
 """What plots over time show, read back from the axes they were drawn on."""
 
-from fleets import CLOCK, fleet, lines, vehicle
+from fleets import CLOCK, fleet, legend, lines, vehicle
 import numpy as np
 import pytest
 from tsmcl_ros.evaluation import plots
@@ -65,18 +65,30 @@ def test_errors_that_dwarf_all_others_are_drawn_on_a_logarithmic_scale(ax):
 def test_the_nees_is_averaged_over_the_vehicles(ax):
     vehicles = fleet(40)
 
-    plots.nees_over_time(ax, vehicles)
+    plots.nees_over_time(ax, {'a': vehicles})
 
     expected = np.mean([part.nees for part in vehicles.values()], axis=0)
     np.testing.assert_allclose(lines(ax)['mean over the vehicles'].get_ydata(), expected)
 
 
 def test_the_nees_band_is_that_of_the_fleets_size(ax):
-    plots.nees_over_time(ax, fleet(40))
+    plots.nees_over_time(ax, {'a': fleet(40)})
 
     band = next(patch for patch in ax.patches if patch.get_label() == '95 % band')
     extent = band.get_extents().transformed(ax.transData.inverted())
     assert (extent.y0, extent.y1) == pytest.approx(nees_band(2, 40))
+
+
+def test_the_nees_of_several_runs_is_a_curve_each(ax):
+    plots.nees_over_time(ax, {'a': fleet(40), 'b': fleet(1)})
+
+    assert {'a', 'b'} <= set(legend(ax))
+
+
+def test_fleets_of_different_sizes_have_no_band_in_common(ax):
+    plots.nees_over_time(ax, {'a': fleet(40), 'b': fleet(1)})
+
+    assert legend(ax) == ['a', 'b', 'expected: 2']
 
 
 def test_a_fleets_series_holds_a_value_until_it_is_too_old():

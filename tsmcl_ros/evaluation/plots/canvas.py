@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import io
 from pathlib import Path
 import re
@@ -36,14 +37,19 @@ def panel(width: float = 6.4, height: float = 3.2) -> tuple[Figure, Axes]:
 def panels(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
     """Return such a figure with several axes side by side."""
     figure = Figure(figsize=(width, height), facecolor='none', layout='constrained')
-    axes = [figure.add_subplot(1, count, index + 1, facecolor='none') for index in range(count)]
+    axes = [figure.add_subplot(1, count, index + 1) for index in range(count)]
     for ax in axes:
-        ax.tick_params(which='both', colors=INK, labelsize=8)
-        for side, spine in ax.spines.items():
-            spine.set_color(INK)
-            spine.set_visible(side in ('left', 'bottom'))
-        ax.grid(color=INK, alpha=0.15, linewidth=0.6)
-        ax.set_axisbelow(True)
+        _dress(ax)
+    return figure, axes
+
+
+def stack(width: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    """Return such a figure with axes of these heights [inch] below each other, on one x axis."""
+    figure = Figure(figsize=(width, sum(heights)), facecolor='none', layout='constrained')
+    axes = figure.subplots(
+        len(heights), sharex=True, squeeze=False, height_ratios=heights)[:, 0].tolist()
+    for ax in axes:
+        _dress(ax)
     return figure, axes
 
 
@@ -119,7 +125,9 @@ def make_logarithmic(ax: Axes, axis: str, low: float, high: float) -> None:
 
 
 def label_axes(ax: Axes, x: str, y: str) -> None:
-    ax.set_xlabel(x, color=INK, fontsize=9)
+    place = ax.get_subplotspec()
+    if place is None or place.is_last_row():
+        ax.set_xlabel(x, color=INK, fontsize=9)
     ax.set_ylabel(y, color=INK, fontsize=9)
 
 
@@ -130,3 +138,13 @@ def add_legend(ax: Axes) -> None:
     columns = int(characters / (max(map(len, labels)) + 8)) if labels else 1
     ax.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncol=max(min(columns, len(labels)), 1),
               frameon=False, fontsize=8, labelcolor=INK, borderaxespad=0.3)
+
+
+def _dress(ax: Axes) -> None:
+    ax.set_facecolor('none')
+    ax.tick_params(which='both', colors=INK, labelsize=8)
+    for side, spine in ax.spines.items():
+        spine.set_color(INK)
+        spine.set_visible(side in ('left', 'bottom'))
+    ax.grid(color=INK, alpha=0.15, linewidth=0.6)
+    ax.set_axisbelow(True)

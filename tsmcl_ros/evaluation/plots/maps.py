@@ -28,9 +28,10 @@ VECTOR = 40_000
 
 
 def map_view(ax: Axes, vehicles: Mapping[str, Comparison], anchors: Array | None = None,
-             radio_range: Array | None = None) -> None:
+             radio_range: Array | None = None, suspects: Mapping[int, Array] | None = None,
+             upright: int = 1) -> None:
     """
-    Draw where the vehicles were and where they were taken to be, seen from above.
+    Draw where the vehicles were and where they were taken to be, seen from above or from aside.
 
     Parameters
     ----------
@@ -43,7 +44,12 @@ def map_view(ax: Axes, vehicles: Mapping[str, Comparison], anchors: Array | None
         Positions [m].
     radio_range : (A,) or None
         Radii of the disks around them [m]; none is drawn where NaN.
+    suspects : mapping of id to (D,), optional
+        Positions [m] of the anchors that are under suspicion.
+    upright : int
+        Which coordinate goes up: 1 for y, 2 for z, without disks.
     """
+    plane = [0, upright]
     fleet = len(vehicles) > DISTINCT
     rasterized = sum(len(part.path.stamp) for part in vehicles.values()) > VECTOR
     ink = FAINT if fleet or rasterized else INK
@@ -54,23 +60,25 @@ def map_view(ax: Axes, vehicles: Mapping[str, Comparison], anchors: Array | None
     for index, (name, part) in enumerate(vehicles.items()):
         first = index == 0
         truth = broken(part.path.stamp, part.path.position)
-        ax.plot(*truth.T[:2], color=ink, label='truth' if first else None, **style)
+        ax.plot(*truth.T[plane], color=ink, label='truth' if first else None, **style)
         estimate = broken(part.estimate.stamp, part.estimate.position)
-        ax.plot(*estimate.T[:2], color=COLORS[0 if alike else index], **style,
+        ax.plot(*estimate.T[plane], color=COLORS[0 if alike else index], **style,
                 label=('estimate' if first else None) if alike else shown(name))
     if fleet:
-        _draw_last_positions(ax, vehicles)
+        _draw_last_positions(ax, vehicles, plane)
     if anchors is not None and len(anchors):
-        _draw_anchors(ax, anchors, radio_range)
+        _draw_anchors(ax, anchors[:, plane], radio_range if upright == 1 else None)
+    if suspects:
+        _draw_suspects(ax, {identity: place[plane] for identity, place in suspects.items()})
     ax.set_aspect('equal', adjustable='datalim')
     ax.margins(0.04)
-    label_axes(ax, 'x [m]', 'y [m]')
+    label_axes(ax, 'x [m]', f'{"xyz"[upright]} [m]')
     add_legend(ax)
 
 
-def _draw_last_positions(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
+def _draw_last_positions(ax: Axes, vehicles: Mapping[str, Comparison], plane: list[int]) -> None:
     ends = np.array([
-        (part.truth.position[-1, :2], part.estimate.position[-1, :2])
+        (part.truth.position[-1, plane], part.estimate.position[-1, plane])
         for part in vehicles.values() if len(part.error)])
     if not len(ends):
         return
@@ -80,7 +88,7 @@ def _draw_last_positions(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
 
 
 def _draw_anchors(ax: Axes, anchors: Array, radio_range: Array | None) -> None:
-    ax.plot(*anchors.T[:2], '^', color=COLORS[2], markersize=6 if len(anchors) <= DISKS else 4,
+    ax.plot(*anchors.T, '^', color=COLORS[2], markersize=6 if len(anchors) <= DISKS else 4,
             linestyle='none', label='anchor')
     if radio_range is None or len(anchors) > DISKS:
         return
@@ -89,9 +97,17 @@ def _draw_anchors(ax: Axes, anchors: Array, radio_range: Array | None) -> None:
     if known.any():
         # A collection on the data's offsets leaves the view to what lies inside the disks.
         disks = EllipseCollection(
-            diameter, diameter, np.zeros(len(diameter)), units='xy', offsets=anchors[known, :2],
+            diameter, diameter, np.zeros(len(diameter)), units='xy', offsets=anchors[known],
             offset_transform=ax.transData, facecolors='none', edgecolors=COLORS[2], alpha=0.45,
             linewidths=0.8, linestyles=':')
         ax.add_collection(disks, autolim=False)
         ax.plot([], [], color=COLORS[2], alpha=0.6, linewidth=0.8, linestyle=':',
                 label='radio range')
+
+
+def _draw_suspects(ax: Axes, suspects: Mapping[int, Array]) -> None:
+    ax.plot(*np.array(list(suspects.values())).T, 's', color=COLORS[1], markersize=11,
+            markerfacecolor='none', markeredgewidth=1.8, linestyle='none', label='suspect')
+    for identity, place in suspects.items():
+        ax.annotate(str(identity), tuple(place.tolist()), (8, 5), textcoords='offset points',
+                    color=COLORS[1], fontsize=9, fontweight='bold')

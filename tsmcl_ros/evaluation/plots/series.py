@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -14,6 +14,7 @@ from tsmcl_ros.evaluation.plots.canvas import (
     COLORS,
     curve_style,
     DISTINCT,
+    FAINT,
     GAP,
     label_axes,
     make_logarithmic,
@@ -39,13 +40,10 @@ def error_over_time(ax: Axes, vehicles: Mapping[str, Comparison],
     outages : sequence of (from, to)
         Times [s] without beacons, shaded.
     """
-    start = _start(vehicles)
+    start = time_origin(vehicles)
     if len(vehicles) > DISTINCT:
         stamp, error = fleet_series(vehicles, 'error')
-        low, median, high = broken(stamp, _percentiles(error, [5, 50, 95]).T).T
-        ax.fill_between(stamp - start, low, high, color=COLORS[0], alpha=0.25, linewidth=0,
-                        label='5 to 95 % of the vehicles')
-        ax.plot(stamp - start, median, color=COLORS[0], linewidth=1.3, label='median')
+        draw_spread(ax, stamp - start, error)
     else:
         for (name, part), color in zip(vehicles.items(), COLORS, strict=False):
             label = 'error' if len(vehicles) == 1 else shown(name)
@@ -77,7 +75,7 @@ def median_error_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]
     for index, (label, vehicles) in enumerate(runs.items()):
         stamp, error = fleet_series(vehicles, 'error')
         drawn.append(_percentiles(error, [50])[0])
-        ax.plot(stamp - _start(vehicles), broken(stamp, drawn[-1]), label=shown(label),
+        ax.plot(stamp - time_origin(vehicles), broken(stamp, drawn[-1]), label=shown(label),
                 linewidth=1.2, **curve_style(index))
     scale_errors(ax, np.concatenate([np.empty(0), *drawn]))
     ax.margins(x=0.01)
@@ -85,27 +83,42 @@ def median_error_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]
     add_legend(ax)
 
 
-def nees_over_time(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
+def nees_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]]) -> None:
     """
     Draw the NEES, averaged over the vehicles, and the band in which 95 % of it should lie.
 
     Above the band the covariance promises too much, below it too little.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    runs : mapping of label to the run's vehicles
+        One curve each, each from its own start; runs of fleets of different sizes have no band
+        in common.
     """
-    start = _start(vehicles)
-    stamp, nees = fleet_series(vehicles, 'nees')
-    known = np.isfinite(nees)
-    count = known.sum(axis=0)
-    mean = np.where(known, nees, 0.0).sum(axis=0) / np.where(count, count, np.nan)
-    dimension = max((part.truth.position.shape[1] for part in vehicles.values()), default=2)
-    low, high = nees_band(dimension, max(int(count.max(initial=0)), 1))
-    ax.axhspan(low, high, color=COLORS[2], alpha=0.2, linewidth=0, label='95 % band')
-    ax.axhline(dimension, color=COLORS[2], linewidth=1.0, linestyle='--',
-               label=f'expected: {dimension}')
-    ax.plot(stamp - start, broken(stamp, mean), color=COLORS[0], linewidth=1.0,
-            label='NEES' if len(vehicles) == 1 else 'mean over the vehicles')
+    bands: dict[tuple[float, float], int] = {}
+    highest = 0.0
+    for index, (label, vehicles) in enumerate(runs.items()):
+        stamp, nees = fleet_series(vehicles, 'nees')
+        known = np.isfinite(nees)
+        count = known.sum(axis=0)
+        mean = np.where(known, nees, 0.0).sum(axis=0) / np.where(count, count, np.nan)
+        dimension = max((part.truth.position.shape[1] for part in vehicles.values()), default=2)
+        bands[nees_band(dimension, max(int(count.max(initial=0)), 1))] = dimension
+        if len(runs) == 1:
+            label = 'NEES' if len(vehicles) == 1 else 'mean over the vehicles'
+        ax.plot(stamp - time_origin(vehicles), broken(stamp, mean), linewidth=1.0,
+                label=shown(label), **curve_style(index))
+        highest = float(np.max(mean[np.isfinite(mean)], initial=highest))
+    if len(bands) == 1:
+        ax.axhspan(*next(iter(bands)), color=FAINT, alpha=0.2, linewidth=0, label='95 % band')
+    for dimension in sorted(set(bands.values())):
+        ax.axhline(dimension, color=FAINT, linewidth=1.0, linestyle='--',
+                   label=f'expected: {dimension}')
     # What lies far below the band is as good as zero, and would squeeze the rest.
-    highest = np.max(mean[np.isfinite(mean)], initial=high)
-    make_logarithmic(ax, 'y', low / 5, 1.5 * float(highest))
+    lowest, highest = min(low for low, _ in bands), max(highest, *(high for _, high in bands))
+    make_logarithmic(ax, 'y', lowest / 5, 1.5 * highest)
     ax.margins(x=0.01)
     label_axes(ax, 'time [s]', 'NEES')
     add_legend(ax)
@@ -113,10 +126,7 @@ def nees_over_time(ax: Axes, vehicles: Mapping[str, Comparison]) -> None:
 
 def fleet_series(vehicles: Mapping[str, Comparison], quantity: str) -> tuple[Array, Array]:
     """
-    Return a quantity of all vehicles at common stamps.
-
-    The stamps are those of the vehicle with the most epochs. At each of them every other vehicle
-    contributes its last value, unless that is older than `GAP` usual periods.
+    Return a quantity of all vehicles at common stamps, see `common_series`.
 
     Parameters
     ----------
@@ -124,24 +134,51 @@ def fleet_series(vehicles: Mapping[str, Comparison], quantity: str) -> tuple[Arr
         V vehicles.
     quantity : str
         `error`, `nees` or `spread`.
+    """
+    return common_series(
+        [(part.truth.stamp, getattr(part, quantity)) for part in vehicles.values()],
+        lambda stamp: GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0)
+
+
+def common_series(
+    series: Sequence[tuple[Array, Array]], oldest: Callable[[Array], float],
+) -> tuple[Array, Array]:
+    """
+    Return several series at common stamps, those of the longest one.
+
+    At each of them every other one contributes its last value, unless that is too old.
+
+    Parameters
+    ----------
+    series : V of (stamp, values)
+        Each of a length of its own; stamps [s] increase.
+    oldest : callable
+        Takes the common stamps and returns up to which age a value counts [s].
 
     Returns
     -------
     stamp : (T,) float64
         [s].
     values : (V, T) float64
-        NaN where a vehicle has nothing to contribute.
+        NaN where a series has nothing to contribute.
     """
-    parts = list(vehicles.values())
-    stamp = max((part.truth.stamp for part in parts), key=len, default=np.empty(0))
-    values = np.full((len(parts), len(stamp)), np.nan)
-    oldest = GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
-    for row, part in zip(values, parts, strict=True):
-        last = np.searchsorted(part.truth.stamp, stamp, side='right') - 1
-        if len(part.truth.stamp):
-            fresh = (last >= 0) & (stamp - part.truth.stamp[last] <= oldest)
-            row[fresh] = getattr(part, quantity)[last[fresh]]
-    return stamp, values
+    stamp = max((each for each, _ in series), key=len, default=np.empty(0))
+    common = np.full((len(series), len(stamp)), np.nan)
+    limit = oldest(stamp)
+    for row, (own, values) in zip(common, series, strict=True):
+        last = np.searchsorted(own, stamp, side='right') - 1
+        if len(own):
+            fresh = (last >= 0) & (stamp - own[last] <= limit)
+            row[fresh] = values[last[fresh]]
+    return stamp, common
+
+
+def draw_spread(ax: Axes, time: Array, values: Array) -> None:
+    """Draw the median of values (V, T) over the vehicles and their 5 to 95 % range."""
+    low, median, high = broken(time, _percentiles(values, [5, 50, 95]).T).T
+    ax.fill_between(time, low, high, color=COLORS[0], alpha=0.25, linewidth=0,
+                    label='5 to 95 % of the vehicles')
+    ax.plot(time, median, color=COLORS[0], linewidth=1.3, label='median')
 
 
 def _draw_series(ax: Axes, part: Comparison, values: Array, start: float, **style: Any) -> None:
@@ -157,6 +194,6 @@ def _percentiles(values: Array, percents: Sequence[float]) -> Array:
     return result
 
 
-def _start(vehicles: Mapping[str, Comparison]) -> float:
+def time_origin(vehicles: Mapping[str, Comparison]) -> float:
     """Return the first stamp of all truths, from which the time axes count."""
     return min((part.start for part in vehicles.values()), default=0.0)
