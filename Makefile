@@ -29,7 +29,7 @@ lint: $(VENV)/test.stamp  ## the static checks alone: style, docstrings, types
 	@$(VENV)/bin/mypy
 
 bench: $(VENV)/test.stamp  ## how fast updates, bags and messages are on this machine
-	@for name in filter bag codec; do \
+	@for name in filter methods bag codec; do \
 	    $(VENV)/bin/python test/benchmark/$$name.py && echo || exit 1; done
 
 clean:  ## remove the environments and what the tools left behind

@@ -7,6 +7,8 @@ from pathlib import Path
 import re
 
 import pytest
+from tsmcl_ros.config import parameters
+from tsmcl_ros.methods import METHODS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {str(path.relative_to(ROOT)): path for path in sorted(
@@ -38,3 +40,20 @@ def test_links_lead_somewhere(page) -> None:
         if anchor:
             titles = re.findall(r'^#+ (.*)$', target.read_text(), re.MULTILINE)
             assert anchor in map(slug, titles), link
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_every_method_has_a_page_that_names_its_parameters_and_source(method) -> None:
+    text = PAGES[f'docs/methods/{method}.md'].read_text()
+    common = {item for other, kind in METHODS.items() if other != method
+              for item in parameters(kind.Config)}
+    for item in set(parameters(METHODS[method].Config)) - common:
+        assert f'`{item.name}`' in text or f'`{item.name}:' in text, item.name
+    for part in ('Source', 'What it does', 'When', 'Parameters', 'Cost', 'Measured'):
+        assert f'**{part}.**' in text
+
+
+def test_the_index_of_methods_holds_them_all() -> None:
+    text = PAGES['docs/methods/README.md'].read_text()
+    for method in METHODS:
+        assert f'[{method}]({method}.md)' in text

@@ -58,8 +58,8 @@ def document() -> str:
             sections.append(_section(config, nodes, takers))
         elif config is METHOD_CONFIGS['ts_mcl']:
             sections.append(_variants(
-                'Methods', 'What the methods take.', 'method',
-                METHOD_CONFIGS, nodes))
+                'Methods', 'What the methods take, see [their pages](methods/README.md).',
+                'method', METHOD_CONFIGS, nodes))
     return '\n'.join(sections)
 
 
