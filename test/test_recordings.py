@@ -6,18 +6,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tsmcl_ros import csv_log
+from tsmcl_ros import csv_log, messages
+from tsmcl_ros.bag import Reader
 from tsmcl_ros.config import load_yaml
 from tsmcl_ros.evaluation.metrics import nees_band
 from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join
 from tsmcl_ros.evaluation.recording import read_runs
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.messages.diagnostics import FAILURE
 from tsmcl_ros.scripts import evaluate, import_csv, localize_bag
 from tsmcl_ros.world import make_world
 import yaml
 
 CONFIG = Path(__file__).parent.parent / 'config'
 SETTLING = 5.0  # s, left out at the start of each BLE track
+
+
+def complaints(bag):
+    """Return what a localized bag says of vehicles that it takes for lost, and of suspects."""
+    with Reader(bag) as reader:
+        diagnoses = [diagnosis for message in reader.messages(['/diagnostics'])
+                     for diagnosis in messages.decode_diagnostics(message.data)[1]]
+    assert diagnoses
+    return [diagnosis.message for diagnosis in diagnoses
+            if diagnosis.level == FAILURE or diagnosis.values['suspects']]
 
 
 # --- a robot mower with ranging radios and odometry ------------------------------------------
@@ -32,17 +44,17 @@ def plaza1(shared_data, tmp_path_factory):
     assert evaluate.main([out]) == 0
     document = json.loads((folder / 'plaza1_out_eval' / 'metrics.json').read_text())
     [run] = read_runs(out)
-    return document, run.vehicles['veh_0'], run.outages
+    return document, run.vehicles['veh_0'], run.outages, complaints(out)
 
 
 def test_plaza1_is_localized_to_3_m_by_raw_ranges(plaza1):
-    document, _, _ = plaza1
+    document, *_ = plaza1
     assert document['overall']['rmse_m'] <= 3.0
     assert document['overall']['median_m'] <= 1.5
 
 
 def test_plaza1_has_poses_through_its_outage(plaza1):
-    document, track, outages = plaza1
+    document, track, outages, _ = plaza1
     assert document['overall']['availability'] > 0.99
     begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
     assert end - begin == pytest.approx(97, abs=1)
@@ -52,7 +64,7 @@ def test_plaza1_has_poses_through_its_outage(plaza1):
 
 
 def test_plaza1_knows_how_uncertain_an_outage_makes_it(plaza1):
-    _, track, outages = plaza1
+    _, track, outages, _ = plaza1
     begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
     within = (track.truth.stamp > begin) & (track.truth.stamp < end)
     assert track.spread[within].max() > 3 * track.spread[within][0]
@@ -60,9 +72,14 @@ def test_plaza1_knows_how_uncertain_an_outage_makes_it(plaza1):
 
 
 def test_plaza1_is_tracked_to_the_end(plaza1):
-    _, track, _ = plaza1
+    _, track, *_ = plaza1
     late = track.truth.stamp > track.end - 600
     assert np.sqrt(np.mean(track.error[late] ** 2)) < 1.5
+
+
+def test_plaza1_is_never_called_lost_and_nobody_is_suspected(plaza1):
+    *_, complaints = plaza1
+    assert complaints == []
 
 
 @pytest.fixture(scope='module')
@@ -149,6 +166,8 @@ def test_the_tag_is_localized_with_one_parameter_file(
     settings = load_yaml(CONFIG / f'{config}.yaml')
     errors = [rmse(bags(track, *options), tmp_path / track.name, settings) for track in tracks]
     assert np.mean(errors) <= bound
+    # It is where it is believed to be, and no sniffer is a suspect.
+    assert [complaints(tmp_path / track.name) for track in tracks] == [[]] * len(tracks)
 
 
 @KINDS
