@@ -12,6 +12,7 @@ from hypothesis import given, strategies
 import pytest
 from tsmcl_ros.config import (
     add_arguments,
+    adjust,
     build,
     Config,
     dump_yaml,
@@ -61,6 +62,21 @@ def parse(*words: str) -> dict[str, Any]:
 
 
 # Validation
+
+
+@dataclass(frozen=True)
+class MeterConfig(Config):
+    pace: float = param(1.0, 'how fast', low=0.0, live=True)
+    units: str = param('km', 'of what')
+
+
+@dataclass(frozen=True)
+class TripConfig(Config):
+    pace: float = param(1.0, 'how fast', low=0.0, live=True)
+
+    def check(self) -> None:
+        if self.pace > 3:
+            raise ConfigError('pace: too fast for a trip')
 
 
 def test_that_defaults_are_accepted() -> None:
@@ -127,6 +143,26 @@ def test_that_whole_numbers_have_no_largest() -> None:
 def test_that_build_takes_what_it_has_fields_for() -> None:
     config = build(EngineConfig, {'power': 7, 'start.x': 1.5, 'radius': 2.0})
     assert (config.power, config.start_x) == (7.0, 1.5)
+
+
+def test_that_live_parameters_change_for_all_who_share_the_config() -> None:
+    meter, trip = MeterConfig(), TripConfig()
+    adjust([meter, trip], {'pace': 2, 'units': 'km', 'unknown': 1})
+    assert (meter.pace, meter.units, trip.pace) == (2.0, 'km', 2.0)
+
+
+@pytest.mark.parametrize(('values', 'complaint'), [
+    ({'pace': -1.0}, 'pace: -1.0 is not allowed'),
+    ({'pace': 2.0, 'units': 'miles'}, "units cannot change from 'km' to 'miles'"),
+    ({'pace': 4.0}, 'pace: too fast for a trip'),
+])
+def test_that_of_changes_that_are_not_allowed_none_is_made(
+    values: dict[str, Any], complaint: str,
+) -> None:
+    meter, trip = MeterConfig(), TripConfig()
+    with pytest.raises(ConfigError, match=complaint):
+        adjust([meter, trip], values)
+    assert (meter, trip) == (MeterConfig(), TripConfig())
 
 
 def test_that_known_names_pass() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, MISSING
+from dataclasses import dataclass, field, fields, MISSING, replace
 from difflib import get_close_matches
 import math
 from pathlib import Path
@@ -38,7 +38,7 @@ class Parameter:
     high: float | None = None
     above: float | None = None
     choices: tuple[Any, ...] = ()
-    read_only: bool = False
+    live: bool = False
 
     @property
     def allowed(self) -> str:
@@ -123,8 +123,9 @@ def param(default: Any, doc: str, **constraints: Any) -> Any:
     doc
         One line.
     **constraints
-        `unit`, `low` and `high` (inclusive), `above` (exclusive), `choices`, `read_only`,
-        and `name` where ROS users know it by one that is no identifier (`initial_pose.x`).
+        `unit`, `low` and `high` (inclusive), `above` (exclusive), `choices`, `live` if it may
+        change while what it configures runs, and `name` where ROS users know it by one that is
+        no identifier (`initial_pose.x`).
     """
     return field(default=default, metadata={'doc': doc, **constraints})
 
@@ -167,6 +168,39 @@ def build(cls: type[C], values: Mapping[str, Any]) -> C:
     return cls(**{
         item.attribute: values[item.name] for item in parameters(cls) if item.name in values
     })
+
+
+def adjust(configs: Iterable[Config], values: Mapping[str, Any]) -> None:
+    """
+    Change live parameters of configs in place, for all who share these.
+
+    Frozen as configs are otherwise, a live parameter is to be read where it is used, not copied.
+
+    Parameters
+    ----------
+    configs
+        Values that they have no fields for are left aside.
+    values
+        By name.
+
+    Raises
+    ------
+    ConfigError
+        If a value is not allowed, or a parameter that is not live would change; then none does.
+    """
+    changes = []
+    for config in configs:
+        items = [item for item in parameters(type(config)) if item.name in values]
+        wanted = replace(config, **{  # type: ignore[type-var]
+            item.attribute: values[item.name] for item in items})
+        for item in items:
+            old, new = (getattr(which, item.attribute) for which in (config, wanted))
+            if new != old and not item.live:
+                raise ConfigError(
+                    f'{item.name} cannot change from {old!r} to {new!r} while it is in use')
+            changes.append((config, item.attribute, new))
+    for config, attribute, new in changes:
+        object.__setattr__(config, attribute, new)
 
 
 def refuse_unknown(values: Iterable[str], classes: Iterable[type[Config]], source: str) -> None:

@@ -28,11 +28,11 @@ class OutputConfig(Config):
         False, 'broadcast the transform from map to odom, or to base_link without odometry; '
         'needs tf2_ros')
     transform_tolerance: float = param(
-        1.0, 'how far into the future a transform holds', unit='s', low=0)
+        1.0, 'how far into the future a transform holds', unit='s', low=0, live=True)
     cloud_period: float = param(
-        1.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0)
+        1.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0, live=True)
     marker_period: float = param(
-        1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0)
+        1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0, live=True)
 
 
 class Endpoint:
@@ -128,23 +128,15 @@ class Endpoint:
 
 
 class Rest:
-    """
-    A time of rest between two publications.
+    """A time of rest between two publications."""
 
-    Parameters
-    ----------
-    period : float
-        [s]; with 0 it never ends.
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self) -> None:
         self._begin = -math.inf
 
-    def is_over(self, stamp: float) -> bool:
-        """Tell whether it is over, and if so begin anew."""
+    def is_over(self, stamp: float, period: float) -> bool:
+        """Tell whether it is over, and if so begin anew; a period [s] of 0 never ends."""
         # Time may have gone back.
-        over = self._period > 0 and not 0 <= stamp - self._begin < self._period - 1e-6
+        over = period > 0 and not 0 <= stamp - self._begin < period - 1e-6
         if over:
             self._begin = stamp
         return over

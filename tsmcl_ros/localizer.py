@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from tsmcl_ros.config import build, Config, param, refuse_unknown
+from tsmcl_ros.config import adjust, build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
@@ -51,22 +51,21 @@ _LONGEST_LEAP = 3600.0
 class LocalizerConfig(Config):
     """Which method runs, where it starts, and how it treats time."""
 
-    method: str = param('ts_mcl', 'localization method', choices=tuple(METHODS), read_only=True)
-    dimension: int = param(2, 'coordinates to estimate', choices=(2, 3), read_only=True)
-    seed: int = param(0, 'seed of all randomness: same bag and seed, same bits',
-                      low=0, read_only=True)
+    method: str = param('ts_mcl', 'localization method', choices=tuple(METHODS))
+    dimension: int = param(2, 'coordinates to estimate', choices=(2, 3))
+    seed: int = param(0, 'seed of all randomness: same bag and seed, same bits', low=0)
     max_wait: float = param(
         0.5, 'how long an epoch waits for odometry and for other vehicles of a fleet',
-        unit='s', low=0.0)
+        unit='s', low=0.0, live=True)
     outage_period: float = param(
-        2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0)
+        2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0, live=True)
     outage_predictor: str = param(
         'velocity', "what predicts a vehicle that hears nothing and has no odometry: the way its "
         "velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, "
-        "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'), read_only=True)
+        "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'))
     time_jump: float = param(
         10.0, "start anew when a topic's stamps go back by more than this, as in a looped bag; "
-        'reject messages that are less late', unit='s', low=0.0)
+        'reject messages that are less late', unit='s', low=0.0, live=True)
     set_initial_pose: bool = param(False, 'start from initial_pose instead of anywhere')
     initial_pose_x: float = param(0.0, 'initial position', unit='m', name='initial_pose.x')
     initial_pose_y: float = param(0.0, 'initial position', unit='m', name='initial_pose.y')
@@ -166,6 +165,26 @@ class Localizer:
         """All that it is configured by."""
         return (self.config, self.radio_config, self.evidence_config, self.motion_config,
                 self.method_config)
+
+    def reconfigure(self, settings: Mapping[str, Any]) -> None:
+        """
+        Take over other values of live parameters, which hold from the next epoch on.
+
+        Parameters
+        ----------
+        settings : Mapping
+            By name; those of methods that do not run have no effect.
+
+        Raises
+        ------
+        ConfigError
+            If a value is not allowed, a name is unknown, or a parameter that is not live would
+            change; then nothing does.
+        """
+        refuse_unknown(settings, CONFIGS, 'localizer')
+        adjust((self.config, self.motion_config, self.method_config, self.radio_config,
+                self.evidence_config, self.health_config), settings)
+        self.channel.learn(self._links)
 
     def reset(self) -> None:
         """Forget everything but the configuration, the anchor map, and the anchors' links."""

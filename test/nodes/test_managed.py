@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 import os
 import signal
 from typing import Any
@@ -16,6 +17,8 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
+from tsmcl_ros.endpoint import Endpoint
+from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.managed import ManagedNode
@@ -77,11 +80,14 @@ class Anchors:
     def are_heard(self) -> bool:
         return bool(self.beacons.get_subscription_count())
 
-    def step(self, stamp: float) -> None:
+    def step(self, stamp: float) -> bytes:
+        """Let the vehicle hear all of them, and return its message."""
         scan = Observation.empty(1, 3, 3, stamp)
         scan.sender[:], scan.position[:] = self.table.sender, self.table.position
         scan.range[0] = np.linalg.norm(scan.position[0, :, :2] - [10.0, 12.0], axis=1)
-        self.beacons.publish(messages.encode_beacons(scan, 'map')[0])
+        data, = messages.encode_beacons(scan, 'map')
+        self.beacons.publish(data)
+        return data
 
 
 @pytest.fixture
@@ -147,11 +153,15 @@ def test_after_cleanup_parameters_can_be_set_and_latched_maps_come_again(
     assert manager.set('dimension', 3) == ''
     assert manager.change(CONFIGURE, ACTIVATE)
     scene.until(anchors.are_heard, 'the localizer')
-    anchors.step(1.0)
-    scene.until(lambda: bool(poses and told), 'pose and markers')
+    stamps = count(1.0)
+
+    def shown() -> int:
+        anchors.step(next(stamps))
+        return sum(marker.ns == 'anchors' for data in told
+                   for marker in deserialize_message(data, MarkerArray).markers)
+
+    scene.until(lambda: shown() > 0, 'the map')
     assert messages.decode_pose(poses[0]).covariance[2, 2] < 1e4  # a height is estimated
-    markers = deserialize_message(told[-1], MarkerArray).markers
-    assert sum(marker.ns == 'anchors' for marker in markers) == 3
 
 
 def test_what_is_told_once_counts_from_when_a_node_is_configured(
@@ -204,6 +214,31 @@ def test_an_error_in_the_code_is_logged_and_leads_back_to_unconfigured(
     assert not manager.change(CONFIGURE)
     assert manager.state == 'unconfigured'
     assert 'ZeroDivisionError' in capfd.readouterr().err
+
+
+def test_live_parameters_hold_at_once_for_the_localizer_and_for_what_is_published(
+    managed: Callable[..., Any],
+) -> None:
+    scene, manager, anchors = managed(cloud_period=0.0, range_std=50.0)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    clouds = scene.probe.collect('particle_cloud', messages.POSE_ARRAY)
+    assert manager.change(CONFIGURE, ACTIVATE)
+    scene.until(anchors.are_heard, 'the localizer')
+    assert manager.set('range_std', 0.0).startswith('range_std: 0.0 is not allowed')
+    assert manager.set('cloud_period', 0.1) == ''
+    scene.until(lambda: scene.probe.count_publishers('/veh_0/particle_cloud') > 0, 'a publisher')
+    local = Localizer({'max_wait': 0.0, 'motion_model': 'velocity', 'range_std': 50.0})
+    endpoint, expected = Endpoint(local, ['']), []
+    for stamp in (1.0, 2.0, 3.0):
+        endpoint.inputs['beacons'][1](anchors.step(stamp))
+        expected += [data for estimate in local.due() for _, data in endpoint.poses(estimate)]
+        scene.until(lambda stamp=stamp: len(poses) == stamp, 'a pose')
+        assert manager.set('range_std', 1.0) == ''
+        local.reconfigure({'range_std': 1.0})
+    assert poses == expected
+    scene.until(lambda: bool(clouds), 'a cloud')
+    assert manager.change(DEACTIVATE, CLEANUP)
+    assert not scene.probe.count_publishers('/veh_0/particle_cloud')
 
 
 class Signalled(LocalizerNode):

@@ -1,13 +1,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from rclpy.parameter import Parameter
-from tsmcl_ros.config import Config, param
+from tsmcl_ros import messages
+from tsmcl_ros.bag import Writer
+from tsmcl_ros.config import Config, param, parameters
+from tsmcl_ros.nodes.anchor import Anchor
+from tsmcl_ros.nodes.fleet import Fleet
+from tsmcl_ros.nodes.localizer import LocalizerNode
+from tsmcl_ros.nodes.recorder import Recorder
+from tsmcl_ros.nodes.replay import Replay
 from tsmcl_ros.nodes.runtime import Node
+from tsmcl_ros.nodes.simulator import Simulator
 from tsmcl_ros.types import ConfigError
 
 Ros = Callable[..., None]
@@ -141,3 +150,28 @@ def test_descriptors_tell_what_a_parameter_means_and_allows(ros: Ros) -> None:
         assert node.describe_parameter('wheels').read_only
         colour = node.describe_parameter('colour')
         assert colour.additional_constraints == 'one of red, blue'
+        wheels = node.describe_parameter('wheels').additional_constraints
+        assert wheels == 'a whole number at least 1; not while running'
+
+
+@pytest.mark.parametrize('kind', [Anchor, Simulator, LocalizerNode, Fleet, Recorder, Replay])
+def test_every_parameter_is_described_and_ranged_where_its_config_has_bounds(
+    ros: Ros, tmp_path: Path, kind: type[Node],
+) -> None:
+    with Writer(tmp_path / 'bag') as bag:
+        bag.topic('/talk', messages.CLOCK)
+        bag.write('/talk', 1.0, messages.encode_clock(1.0))
+    ros(*{Recorder: ['-p', f'output:={tmp_path / "out"}'],
+          Replay: ['-p', f'bag:={tmp_path / "bag"}']}.get(kind, []))
+    with closing(kind()) as node:
+        for config in kind.configs:
+            for item in parameters(config):
+                told = node.describe_parameter(item.name)
+                assert told.description.startswith(item.doc)
+                assert item.allowed in told.additional_constraints
+                assert node.has_parameter(item.name)
+                bounds = [*told.floating_point_range, *told.integer_range]
+                low = item.low if item.low is not None else item.above
+                assert len(bounds) == (low is not None or item.high is not None)
+                assert low is None or bounds[0].from_value == low
+                assert item.high is None or bounds[0].to_value == item.high

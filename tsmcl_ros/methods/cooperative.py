@@ -37,10 +37,11 @@ class CooperativeConfig(CooperationConfig):
     """The search for the directions in which a vehicle may be seen."""
 
     direction_iterations: int = param(
-        10, 'iterations in which arcs of directions shrink, at most, L', low=1, high=1000)
+        10, 'iterations in which arcs of directions shrink, at most, L', low=1, high=1000,
+        live=True)
     convergence: float = param(
         1.0, 'the arcs have settled when the estimate moves by no more than this, epsilon',
-        unit='m', above=0.0)
+        unit='m', above=0.0, live=True)
 
 
 class Cooperative(CooperativeFilter):

@@ -34,9 +34,9 @@ class NbpConfig(CooperationConfig):
 
     oversampling: int = param(
         5, 'samples of the product that are weighed for each one that a message has, k',
-        low=1, high=1000)
+        low=1, high=1000, live=True)
     kernel_scale: float = param(
-        1.0, "width of a message's kernels, in what is best for a ring", above=0.0)
+        1.0, "width of a message's kernels, in what is best for a ring", above=0.0, live=True)
 
 
 class Nbp(CooperativeFilter):

@@ -42,17 +42,18 @@ class RMclConfig(CloudConfig):
     """The sampling region, and how well it is sampled."""
 
     region_references: int = param(
-        3, 'nearest references whose ranges bound the sampling region', low=1, high=100)
+        3, 'nearest references whose ranges bound the sampling region', low=1, high=100, live=True)
     extrapolate: bool = param(
         False, 'centre the motion boxes of random motion on the linear extrapolation of the last '
         'two estimates')
     candidates: int = param(
-        8, 'positions drawn for each particle that is kept of them', low=1, high=1000)
+        8, 'positions drawn for each particle that is kept of them', low=1, high=1000, live=True)
     least_parents: float = param(
-        4.0, 'effective number of old particles that candidates are to come from', low=1.0)
+        4.0, 'effective number of old particles that candidates are to come from', low=1.0,
+        live=True)
     max_widenings: int = param(
         3, 'times that the motion is taken to be twice as wide where they come from fewer',
-        low=0, high=20)
+        low=0, high=20, live=True)
 
 
 class RMcl(RedrawingFilter):

@@ -30,22 +30,22 @@ class TsMclConfig(CloudConfig):
     """The tabu search; with `max_iterations` 0 the method is a bootstrap filter."""
 
     max_iterations: int = param(
-        10, "iterations of a particle's tabu search, 0 for none", low=0, high=1000)
-    tabu_length: int = param(3, 'neighbours that the tabu list holds', low=1, high=100)
+        10, "iterations of a particle's tabu search, 0 for none", low=0, high=1000, live=True)
+    tabu_length: int = param(3, 'neighbours that the tabu list holds', low=1, high=100, live=True)
     tabu_radius: float = param(
         0.05, 'a neighbour this near to a tabu entry is drawn once more, in neighbourhood '
-        'scales', low=0.0, high=1.0)
+        'scales', low=0.0, high=1.0, live=True)
     neighbourhood_scale: float = param(
         0.0, 'length of a full step, 0 for the standard deviation of the predicted cloud',
-        unit='m', low=0.0)
+        unit='m', low=0.0, live=True)
     neighbourhood_floor: float = param(
-        0.5, 'least length of a full step', unit='m', low=0.0)
+        0.5, 'least length of a full step', unit='m', low=0.0, live=True)
     aspiration: float = param(
-        0.5, 'score above which a particle is good enough', above=0.0, high=1.0)
+        0.5, 'score above which a particle is good enough', above=0.0, high=1.0, live=True)
     prior_bandwidth: float = param(
         0.0, "smoothing of the predicted density that repaired clouds are weighed by, in "
         "standard deviations of the cloud; 0 for the paper's way, which asks only what was "
-        'heard', low=0.0, high=10.0)
+        'heard', low=0.0, high=10.0, live=True)
 
 
 class TsMcl(ParticleFilter):

@@ -37,10 +37,10 @@ class RecoveryConfig(Config):
 
     exclusion: float = param(
         25.0, 'place a vehicle anew when the log-likelihood of its belief, at its best particle '
-        'if it has any, is below minus this and 0.7 a reference', above=0.0)
+        'if it has any, is below minus this and 0.7 a reference', above=0.0, live=True)
     patience: int = param(
         5, 'epochs in a row in which a belief, at its best particle if it has any, takes most '
-        'measurements for outliers, before the vehicle is placed anew', low=1)
+        'measurements for outliers, before the vehicle is placed anew', low=1, live=True)
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class CloudConfig(RecoveryConfig):
     min_particles: int = param(200, 'particles of a vehicle', low=2, high=1_000_000)
     max_particles: int = param(
         2000, "candidates that a vehicle's particles are drawn from when it is first placed",
-        low=2, high=10_000_000)
+        low=2, high=10_000_000, live=True)
     resample_threshold: float = param(
         0.5, 'resample when the effective sample size falls below this share of the particles',
-        low=0.0, high=1.0)
+        low=0.0, high=1.0, live=True)
     jitter: float = param(
         0.05, 'noise on resampled particles, in standard deviations of the cloud, so that '
-        'copies part', low=0.0, high=1.0)
+        'copies part', low=0.0, high=1.0, live=True)
 
     def check(self) -> None:
         """Hold that the first epoch has at least as many particles as the later ones."""

@@ -29,7 +29,7 @@ class CooperationConfig(CloudConfig):
     """How many samples are drawn."""
 
     reference_samples: int = param(
-        100, 'samples around each reference, M', low=2, high=100_000)
+        100, 'samples around each reference, M', low=2, high=100_000, live=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,18 +36,18 @@ class HealthConfig(Config):
 
     stale_after: float = param(
         5.0, 'call an estimate stale when no beacon was heard for this long',
-        unit='s', above=0.0)
+        unit='s', above=0.0, live=True)
     contradiction: float = param(
         3.0, 'a beacon contradicts a prediction that it is this far from, in standard deviations '
-        'of all that is uncertain', above=0.0, high=100.0)
+        'of all that is uncertain', above=0.0, high=100.0, live=True)
     contradiction_rate: float = param(
         0.05, 'share of sound beacons that contradict a right prediction', above=0.0, high=0.4)
     loss_rate: float = param(
         0.001, 'how probable it is that a vehicle gets lost from one epoch to the next',
-        above=0.0, high=0.4)
+        above=0.0, high=0.4, live=True)
     suspicion: float = param(
         10_000.0, 'a sender is suspected when what it says is this many times more likely of '
-        'one that is not sound', above=1.0, high=1e12)
+        'one that is not sound', above=1.0, high=1e12, live=True)
 
 
 class HealthMonitor:

@@ -27,25 +27,26 @@ class MotionConfig(Config):
         choices=('auto', 'random', 'odometry', 'velocity'))
     max_speed: float = param(
         50.0, 'v_max, bounds the random motion model and the first velocities',
-        unit='m/s', above=0.0)
+        unit='m/s', above=0.0, live=True)
     acceleration_std: float = param(
         0.5, 'acceleration noise of the velocity model, white noise density',
-        unit='m/s^1.5', above=0.0)
+        unit='m/s^1.5', above=0.0, live=True)
     speed_decay: float = param(
-        0.0, 'time constant in which the velocity model forgets, 0 for never', unit='s', low=0.0)
+        0.0, 'time constant in which the velocity model forgets, 0 for never', unit='s', low=0.0,
+        live=True)
     odom_heading: str = param(
         'unknown', 'whether the odometry frame has the orientation of the map',
         choices=('known', 'unknown'))
     odom_std: float = param(
-        0.05, 'odometry position noise per square root of a second', unit='m', low=0.0)
+        0.05, 'odometry position noise per square root of a second', unit='m', low=0.0, live=True)
     alpha1: float = param(
-        0.05, 'rotation noise of odometry per rotation', unit='rad/rad', low=0.0)
+        0.05, 'rotation noise of odometry per rotation', unit='rad/rad', low=0.0, live=True)
     alpha2: float = param(
-        0.005, 'rotation noise of odometry per distance', unit='rad/m', low=0.0)
+        0.005, 'rotation noise of odometry per distance', unit='rad/m', low=0.0, live=True)
     alpha3: float = param(
-        0.1, 'position noise of odometry per distance', unit='m/m', low=0.0)
+        0.1, 'position noise of odometry per distance', unit='m/m', low=0.0, live=True)
     alpha4: float = param(
-        0.05, 'position noise of odometry per rotation', unit='m/rad', low=0.0)
+        0.05, 'position noise of odometry per rotation', unit='m/rad', low=0.0, live=True)
 
 
 class MotionModel(Protocol):
@@ -80,7 +81,7 @@ class RandomMotion:
     heading = False
 
     def __init__(self, config: MotionConfig):
-        self.max_speed = config.max_speed
+        self.config = config
 
     def draw(self, vehicles: int, count: int, rng: np.random.Generator) -> Array:
         """Remember nothing."""
@@ -96,7 +97,7 @@ class RandomMotion:
 
     def reach(self, elapsed: float) -> float:
         """Return the radius [m] of the disk after this time [s]."""
-        return self.max_speed * elapsed
+        return self.config.max_speed * elapsed
 
 
 class OdometryMotion:

@@ -39,10 +39,10 @@ class PeriodConfig(Config):
         1, 'periods between two beacons (beacon_period fixed)', low=1, high=MAX_PERIOD_FACTOR)
     period_q: float = param(
         15.0, 'periods between two beacons at no residual (beacon_period adaptive)', low=1.0,
-        high=1e6)
+        high=1e6, live=True)
     period_alpha: float = param(
         1e6, 'how large a residual may be before beacons come more often: exp(residual) of '
-        'where the factor is 1 (beacon_period adaptive)', above=0.0, high=1e300)
+        'where the factor is 1 (beacon_period adaptive)', above=0.0, high=1e300, live=True)
 
     def check(self) -> None:
         """Hold that alpha is far larger than q."""

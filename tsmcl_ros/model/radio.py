@@ -38,37 +38,41 @@ class RadioConfig(Config):
         choices=('disk', 'lognormal'))
     radio_range: float = param(
         0.0, 'range of beacons that do not tell theirs, 0 if unknown (disk model)',
-        unit='m', low=0.0)
+        unit='m', low=0.0, live=True)
     edge_softness: float = param(
         0.0, 'width of the soft edge of the radio disk when scoring, 0 for 0.02 of the range',
-        unit='m', low=0.0)
+        unit='m', low=0.0, live=True)
     rssi_at_reference: float = param(
-        -40.0, 'mean rssi at the reference distance, P_0', unit='dBm', low=-200.0, high=100.0)
+        -40.0, 'mean rssi at the reference distance, P_0', unit='dBm', low=-200.0, high=100.0,
+        live=True)
     reference_distance: float = param(1.0, 'distance of P_0, d_0', unit='m', above=0.0)
-    path_loss_exponent: float = param(2.0, 'path loss exponent n', above=0.0, high=10.0)
-    sigma_db: float = param(4.0, 'standard deviation of the shadowing', unit='dB', above=0.0)
+    path_loss_exponent: float = param(2.0, 'path loss exponent n', above=0.0, high=10.0, live=True)
+    sigma_db: float = param(
+        4.0, 'standard deviation of the shadowing', unit='dB', above=0.0, live=True)
     sensitivity: float = param(
-        -90.0, 'weakest rssi that is heard (lognormal model)', unit='dBm', low=-300.0, high=100.0)
+        -90.0, 'weakest rssi that is heard (lognormal model)', unit='dBm', low=-300.0, high=100.0,
+        live=True)
     anchor_path_loss: tuple[str, ...] = param(
         (), "path loss of single anchors where it differs, each 'id P_0 n sigma_db'")
     range_bias: float = param(0.0, 'measured range = scale * distance + bias + noise', unit='m')
     range_scale: float = param(1.0, 'see range_bias', above=0.0)
     range_std: float = param(
-        2.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0)
+        2.0, 'standard deviation of ranges that do not tell theirs', unit='m', above=0.0,
+        live=True)
     range_noise: str = param(
         'gaussian', 'noise of ranges: normal with range_std, or asymmetric as range_short and '
         'range_long say, whatever ranges tell of theirs',
         choices=('gaussian', 'asymmetric_exponential'))
     range_short_slope: float = param(
         0.058, 'by how much ranges are too short where they are so, on average, per range',
-        unit='m/m', low=0.0, high=1.0)
+        unit='m/m', low=0.0, high=1.0, live=True)
     range_short_offset: float = param(
-        0.01, 'what comes to it at any range', unit='m', above=0.0)
+        0.01, 'what comes to it at any range', unit='m', above=0.0, live=True)
     range_long_slope: float = param(
         0.19, 'by how much ranges are too long where they are so, on average, per range',
-        unit='m/m', low=0.0, high=1.0)
+        unit='m/m', low=0.0, high=1.0, live=True)
     range_long_offset: float = param(
-        0.21, 'what comes to it at any range', unit='m', above=0.0)
+        0.21, 'what comes to it at any range', unit='m', above=0.0, live=True)
     measure_range: bool = param(False, 'the simulated radio measures ranges')
     measure_rssi: bool = param(
         False, 'the simulated radio measures rssi; that of a disk radio only counts if so')
@@ -82,27 +86,30 @@ class RadioConfig(Config):
 class EvidenceConfig(Config):
     """Which evidence of an observation counts, each switchable."""
 
-    use_heard: bool = param(True, 'a beacon heard says that its sender is near')
+    use_heard: bool = param(True, 'a beacon heard says that its sender is near', live=True)
     silence: str = param(
         'map', 'an anchor not heard is far: never, if heard before, if in the anchor map',
         choices=('none', 'memory', 'map'))
     use_rssi: bool = param(
-        True, 'rssi counts (lognormal model, or a disk radio that measures it)')
-    use_range: bool = param(True, 'measured ranges count')
+        True, 'rssi counts (lognormal model, or a disk radio that measures it)', live=True)
+    use_range: bool = param(True, 'measured ranges count', live=True)
     range_calibration: str = param(
         'online', 'estimate scale and bias of the ranges while running, from range_scale and '
-        'range_bias on', choices=('off', 'online'))
-    use_vehicles: bool = param(True, 'beacons of other vehicles count')
+        'range_bias on', choices=('off', 'online'), live=True)
+    use_vehicles: bool = param(True, 'beacons of other vehicles count', live=True)
     echo_guard: float = param(
         1.0, 'how wary to be of knowledge that other vehicles may have from oneself: 1 lets it '
-        'flow from the more to the less certain only, 0 is no guard', low=0.0, high=100.0)
+        'flow from the more to the less certain only, 0 is no guard', low=0.0, high=100.0,
+        live=True)
     rssi_calibration: str = param(
         'links', 'estimate P_0 and n from how anchors hear each other, but of anchors in '
-        'anchor_path_loss', choices=('off', 'links'))
+        'anchor_path_loss', choices=('off', 'links'), live=True)
     link_neighbours: int = param(
-        8, 'nearest neighbours that an anchor is calibrated by, 0 for all', low=0, high=10_000)
+        8, 'nearest neighbours that an anchor is calibrated by, 0 for all', low=0, high=10_000,
+        live=True)
     path_loss_exponent_std: float = param(
-        0.5, 'how far off path_loss_exponent may be, before links tell', above=0.0, high=10.0)
+        0.5, 'how far off path_loss_exponent may be, before links tell', above=0.0, high=10.0,
+        live=True)
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)

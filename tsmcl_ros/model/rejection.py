@@ -29,7 +29,7 @@ class RejectionConfig(CloudConfig):
 
     max_redraws: int = param(
         20, 'times that rejected particles are drawn again from the prediction',
-        low=0, high=10_000)
+        low=0, high=10_000, live=True)
 
 
 class RedrawingFilter(ParticleFilter):

@@ -26,7 +26,7 @@ class FleetOutputConfig(OutputConfig):
     """What a fleet publishes; by default no particle clouds, which are most of the bytes."""
 
     cloud_period: float = param(
-        0.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0)
+        0.0, 'shortest time between two particle clouds, 0 for none', unit='s', low=0, live=True)
 
 
 class Fleet(LocalizerNode):

@@ -10,16 +10,17 @@ import time
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
-from tsmcl_ros.config import build
+from tsmcl_ros.config import adjust, build
 from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD, NAMES
 from tsmcl_ros.endpoint import Endpoint, OutputConfig, Rest
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.model.health import LOST, STALE
 from tsmcl_ros.nodes import runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
-from tsmcl_ros.nodes.parameters import select
+from tsmcl_ros.nodes.parameters import live, select
 from tsmcl_ros.nodes.transforms import Broadcaster
 from tsmcl_ros.types import Estimate, MessageError, Observation
 from visualization_msgs.msg import MarkerArray
@@ -44,6 +45,7 @@ class LocalizerNode(ManagedNode):
 
     default_name = 'localizer'
     configs = (LifecycleConfig, OutputConfig, *CONFIGS)
+    adjustable = live(configs)
 
     def set_up(self) -> None:
         """Build the localizer from the settings, and connect it."""
@@ -74,6 +76,13 @@ class LocalizerNode(ManagedNode):
         """Return the namespaces of the vehicles; here one, whose topics are relative."""
         return ['']
 
+    def adjust(self) -> None:
+        """Take over live parameters, if there is a localizer to do so."""
+        if self.state in ('inactive', 'active'):
+            adjust([self._output], self.settings)
+            self._localizer.reconfigure(select(self.settings, CONFIGS))
+            self._offer_clouds()
+
     def pass_time(self, now: float) -> None:
         """Let the localizer know of time that passes without messages."""
         super().pass_time(now)
@@ -92,21 +101,26 @@ class LocalizerNode(ManagedNode):
         self._poses = [self.talk(topic, messages.POSE, runtime.LATCHED) for topic in outputs]
         self._periods = [self.talk(topic, messages.UINT32, runtime.LATCHED)
                          for topic in self._endpoint.period_outputs]
-        self._clouds = [
-            self.talk(f'{topic.removesuffix("pose")}particle_cloud', messages.POSE_ARRAY,
-                      runtime.SENSOR_DATA)
-            for topic in outputs if self._output.cloud_period
-        ]
-        self._cloud_rest = Rest(self._output.cloud_period)
+        self._clouds: list[Publisher] = []
+        self._offer_clouds()
+        self._cloud_rest = Rest()
         self._markers = self.create_lifecycle_publisher(
             MarkerArray, 'markers', runtime.LATCHED)
-        self._marker_rest = Rest(self._output.marker_period)
+        self._marker_rest = Rest()
         self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
             DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_service(Empty, 'reinitialize_global_localization', self._reinitialize)
         self.create_service(Empty, 'request_nomotion_update', self._publish_again)
+
+    def _offer_clouds(self) -> None:
+        """Create publishers of particle clouds, which are many, if they are wanted."""
+        if self._output.cloud_period and not self._clouds:
+            self._clouds = [
+                self.talk(f'{topic.removesuffix("pose")}particle_cloud', messages.POSE_ARRAY,
+                          runtime.SENSOR_DATA)
+                for topic in self._endpoint.outputs]
 
     def _subscribe(self) -> None:
         heeds = {'anchor_map': self._heed_map, 'anchor_links': self._heed_links,
@@ -166,13 +180,13 @@ class LocalizerNode(ManagedNode):
 
     def _publish_views(self, estimate: Estimate) -> None:
         """Publish, not too often, what people look at."""
-        if self._clouds and self._cloud_rest.is_over(estimate.stamp):
+        if self._cloud_rest.is_over(estimate.stamp, self._output.cloud_period):
             for publisher, particles in zip(
                 self._clouds, self._localizer.particles, strict=True,
             ):
                 publisher.publish(messages.encode_pose_array(
                     estimate.stamp, self._output.global_frame_id, particles))
-        if self._marker_rest.is_over(estimate.stamp):
+        if self._marker_rest.is_over(estimate.stamp, self._output.marker_period):
             self._markers.publish(views.markers(
                 estimate, self._anchors, self._localizer.channel.radio_range,
                 self._output.global_frame_id))
@@ -218,10 +232,8 @@ class LocalizerNode(ManagedNode):
         return response
 
     def _broadcaster(self, names: list[str]) -> Broadcaster:
-        output = self._output
         return Broadcaster(
-            self, output.global_frame_id, output.odom_frame_id, output.base_frame_id,
-            [f'{name[1:]}/' if name else '' for name in names], output.transform_tolerance)
+            self, self._output, [f'{name[1:]}/' if name else '' for name in names])
 
 
 def _enumerate(vehicles: list[str], rows: list[int], most: int = 5) -> str:

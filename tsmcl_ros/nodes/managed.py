@@ -54,7 +54,7 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
         runtime.Node.__init__(self)
         LifecycleNodeMixin.__init__(self)
         self._refuse_by_answer(self._service_change_state)
-        self._made: list[Any] = []
+        self._lasting = set(self._entities())
         self._obstacle: Exception | None = None
         self._starts = bool(self.settings['autostart'])
         if self._starts:
@@ -85,7 +85,10 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
 
     def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
         """Return a publisher of serialized messages, which is silent unless the node is active."""
-        return self.create_lifecycle_publisher(runtime.message_class(kind), topic, qos)
+        publisher = self.create_lifecycle_publisher(runtime.message_class(kind), topic, qos)
+        if self.state == 'active':
+            publisher.on_activate(None)
+        return publisher
 
     def run(self) -> None:
         """Handle messages until the node is shut down."""
@@ -95,9 +98,8 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let `set_up` create things; take them back if it fails."""
-        before = set(self._entities())
+        self._lasting = set(self._entities())
         result = self._attempt(self.set_up)
-        self._made = [entity for entity in self._entities() if entity not in before]
         if result != _SUCCESS:
             self._tear_down()
         return result
@@ -153,7 +155,6 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def _tear_down(self) -> None:
         destroyers = (self.destroy_lifecycle_publisher, self.destroy_subscription,
                       self.destroy_service, self.destroy_timer)
-        for entity in self._made:
+        for entity in set(self._entities()) - self._lasting:
             # Each knows its own, and says so.
             any(destroy(entity) for destroy in destroyers)
-        self._made = []

@@ -25,6 +25,7 @@ _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 def declare(
     node: Node, overrides: Mapping[str, RosParameter], configs: Sequence[type[Config]],
     adjustable: Sequence[str] = (), fixed: Callable[[], str] | None = None,
+    changed: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """
     Declare the parameters of some configs on a node, and return their values.
@@ -45,6 +46,8 @@ def declare(
     fixed
         Returns why the others cannot be set at present, '' if they can. Without it they never
         can, and ROS knows them as read-only.
+    changed
+        Called after some were set, when the returned dict is up to date.
 
     Returns
     -------
@@ -68,7 +71,7 @@ def declare(
     for name, item in known.items():
         node.declare_parameter(
             name, _to_ros(values[name]),
-            _descriptor(item, read_only=fixed is None and name not in adjustable),
+            _descriptor(item, name in adjustable, read_only=fixed is None),
             ignore_override=True,
         )
 
@@ -89,10 +92,17 @@ def declare(
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(refuse)
-    node.add_post_set_parameters_callback(
-        lambda changes: values.update(_converted(changes, known))
-    )
+    def take(changes: list[RosParameter]) -> None:
+        values.update(_converted(changes, known))
+        changed()
+
+    node.add_post_set_parameters_callback(take)
     return values
+
+
+def live(configs: Sequence[type[Config]]) -> tuple[str, ...]:
+    """Return the names of the configs' live parameters."""
+    return tuple(item.name for config in configs for item in parameters(config) if item.live)
 
 
 def select(values: Mapping[str, Any], configs: Sequence[type[Config]]) -> dict[str, Any]:
@@ -134,12 +144,12 @@ def _check(configs: Sequence[type[Config]], values: Mapping[str, Any]) -> None:
         build(config, values)
 
 
-def _descriptor(item: Parameter, read_only: bool) -> ParameterDescriptor:
+def _descriptor(item: Parameter, adjustable: bool, read_only: bool) -> ParameterDescriptor:
     unit = f' [{item.unit}]' if item.unit else ''
     descriptor = ParameterDescriptor(
         description=f'{item.doc}{unit}',
-        additional_constraints=item.allowed,
-        read_only=read_only,
+        additional_constraints=item.allowed + ('' if adjustable else '; not while running'),
+        read_only=read_only and not adjustable,
     )
     # ROS knows inclusive bounds only; the config refuses the rest.
     low = item.low if item.low is not None else item.above

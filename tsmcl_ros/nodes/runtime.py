@@ -106,6 +106,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         # rclpy offers no other way to see overrides of parameters that nobody has declared.
         self.settings = declare(
             self, self._parameter_overrides, self.configs, self.adjustable, self.fixed,
+            self.adjust,
         )
         self._events = EventsExecutor(context=self.context)
         self._events.add_node(self)
@@ -213,6 +214,9 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         """Take note of the time [s], while spinning: do what recurs."""
         for recurring in self._recurring:
             recurring.pass_time(now)
+
+    def adjust(self) -> None:
+        """Take note of settings that were changed while running."""
 
     def run(self) -> None:
         """Do what the node is for; here, handle messages for ever."""

@@ -10,6 +10,7 @@ from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.node import Node
 from rclpy.time import Time
+from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.types import Array, ConfigError, Estimate
 
 
@@ -24,12 +25,10 @@ class Broadcaster:
     ----------
     node
         Whose broadcaster it is.
-    map_frame, odom_frame, base_frame
-        Names of the frames; the latter two follow each vehicle's prefix.
+    output : OutputConfig
+        Names the frames, and says how far into the future a transform holds.
     prefixes : list of str
-        Of each vehicle, '' for none.
-    tolerance : float
-        How far into the future a transform holds [s].
+        Of each vehicle, '' for none; odometry frame and the vehicle's own follow it.
 
     Raises
     ------
@@ -37,29 +36,26 @@ class Broadcaster:
         If tf2_ros is not installed.
     """
 
-    def __init__(
-        self, node: Node, map_frame: str, odom_frame: str, base_frame: str, prefixes: list[str],
-        tolerance: float,
-    ) -> None:
+    def __init__(self, node: Node, output: OutputConfig, prefixes: list[str]) -> None:
         try:
             self._broadcaster: Any = import_module('tf2_ros').TransformBroadcaster(node)
         except ImportError:
             raise ConfigError(
                 'tf_broadcast: true is not allowed, tf2_ros is not installed') from None
-        self._map_frame = map_frame
-        self._odom_frames = [prefix + odom_frame for prefix in prefixes]
-        self._base_frames = [prefix + base_frame for prefix in prefixes]
-        self._tolerance = tolerance
+        self._output = output
+        self._odom_frames = [prefix + output.odom_frame_id for prefix in prefixes]
+        self._base_frames = [prefix + output.base_frame_id for prefix in prefixes]
 
     def send(self, estimate: Estimate) -> None:
         """Broadcast one transform for each localized vehicle."""
-        stamp = Time(nanoseconds=round((estimate.stamp + self._tolerance) * 1e9)).to_msg()
+        time = estimate.stamp + self._output.transform_tolerance
+        stamp = Time(nanoseconds=round(time * 1e9)).to_msg()
         transforms = []
         for vehicle in np.flatnonzero(np.isfinite(estimate.mean).all(axis=1)).tolist():
             place, turn, has_odometry = map_to_odom(estimate, vehicle)
             transform = TransformStamped()
             transform.header.stamp = stamp
-            transform.header.frame_id = self._map_frame
+            transform.header.frame_id = self._output.global_frame_id
             frames = self._odom_frames if has_odometry else self._base_frames
             transform.child_frame_id = frames[vehicle]
             moved, turned = transform.transform.translation, transform.transform.rotation

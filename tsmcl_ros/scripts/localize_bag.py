@@ -193,7 +193,7 @@ class _Outlet:
         self._endpoint = endpoint
         self._names = names
         self._writer = writer
-        self._rest = Rest(DIAGNOSTICS_PERIOD)
+        self._rest = Rest()
         self._status = np.full(len(names), -1)
 
     def write(self, estimates: list[Estimate], stamp: float) -> int:
@@ -210,7 +210,7 @@ class _Outlet:
         localizer = self._endpoint.localizer
         status = localizer.health.status
         changed = (status != self._status).any()
-        if self._rest.is_over(now) or changed:
+        if self._rest.is_over(now, DIAGNOSTICS_PERIOD) or changed:
             self._status = status
             self._writer.write('/diagnostics', stamp, messages.encode_diagnostics(
                 now, diagnose(localizer, self._names, 'localize_bag', status, {})))
