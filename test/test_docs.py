@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 from pathlib import Path
 import re
@@ -57,3 +58,26 @@ def test_the_index_of_methods_holds_them_all() -> None:
     text = PAGES['docs/methods/README.md'].read_text()
     for method in METHODS:
         assert f'[{method}]({method}.md)' in text
+
+
+def said() -> list[str]:
+    """Return the constant texts of all sources, those of f-strings in their pieces."""
+    return [
+        node.value
+        for path in (ROOT / 'tsmcl_ros').rglob('*.py')
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+
+
+def test_messages_in_the_troubleshooting_are_those_of_the_sources() -> None:
+    text = PAGES['docs/troubleshooting.md'].read_text()
+    quoted = [line for block in re.findall(r'```text\n(.*?)```', text, re.DOTALL)
+              for line in block.splitlines()]
+    table = text.partition('| the reason |')[2].partition('\n\n')[0]
+    quoted += re.findall(r'^\| `(.*?)` \|', table, re.MULTILINE)
+    assert len(quoted) > 25
+    sources = said()
+    for line in quoted:
+        for piece in re.split(r'<.*?>', line):
+            assert any(piece in text for text in sources), line
