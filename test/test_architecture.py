@@ -17,21 +17,23 @@ BASE = {'types', 'config'}
 MODEL = BASE | {'model'}
 WORLD = MODEL | {'traces', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
-RECORDS = {'types', 'cdr', 'messages', 'bag', 'csv_log'}
-LOWER = WORLD | LOCALIZER | RECORDS | {'endpoint', 'diagnosis'}
+RECORDS = {'types', 'cdr', 'messages', 'gathering', 'bag', 'csv_log'}
+LOWER = WORLD | LOCALIZER | RECORDS | {'inputs', 'endpoint', 'diagnosis'}
 OWN = {
     'types': set(),
     'config': {'types'},
     'cdr': {'types'},
     'messages': {'types', 'cdr'},
+    'gathering': {'types'},
     'bag': {'types'},
-    'csv_log': {'types', 'messages'},
+    'csv_log': {'types', 'messages', 'gathering'},
     'model': BASE,
     'methods': MODEL,
     'localizer': LOCALIZER,
     'traces': MODEL,
     'world': WORLD,
-    'endpoint': LOCALIZER | RECORDS,
+    'inputs': LOCALIZER | RECORDS,
+    'endpoint': LOCALIZER | RECORDS | {'inputs'},
     'diagnosis': LOCALIZER | RECORDS,
     'evaluation': LOWER,
     'nodes': LOWER | {'evaluation', 'scripts'},
@@ -48,6 +50,7 @@ OTHERS = {
     'config': {'yaml'},
     'cdr': {'numpy'},
     'messages': {'numpy'},
+    'gathering': {'numpy'},
     'bag': {'numpy', 'rosbags'},
     'csv_log': {'numpy'},
     'model': {'numpy', 'scipy'},
@@ -56,6 +59,7 @@ OTHERS = {
     'localizer': {'numpy'},
     'traces': {'numpy'},
     'world': {'numpy', 'scipy'},
+    'inputs': {'numpy'},
     'endpoint': {'numpy'},
     'diagnosis': {'numpy'},
     'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},

@@ -15,6 +15,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from tsmcl_ros.gathering import gather, period_number
 from tsmcl_ros.messages import MAX_COORDINATE
 from tsmcl_ros.types import Array, LogError, Observation, Trajectory
 
@@ -78,25 +79,16 @@ class CsvLog:
         """
         Yield what was heard in each period [s] in which anything was (V = 1, D = 3).
 
-        Periods count from t = 0, and a scan is stamped with its last beacon. Of an anchor that
-        was heard several times the rssi is averaged, as its noise is symmetric in dB, and the
-        last range is taken, as the vehicle moved since the others.
+        Periods count from t = 0, and a scan is stamped with its last beacon; of an anchor that
+        was heard several times see `gather`.
         """
-        # A stamp written in decimals may fall a rounding short of the period that it begins.
-        number = np.floor(self.stamp / period + 1e-9)
-        anchors = self.anchors.sender[0]
-        for rows in np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1):
-            sender, which = np.unique(self.sender[rows], return_inverse=True)
-            scan = Observation.empty(1, len(sender), 3, float(self.stamp[rows[-1]]))
-            scan.sender[0] = sender
-            scan.position[0] = self.anchors.position[0, np.searchsorted(anchors, sender)]
-            ranged = ~np.isnan(self.range[rows])
-            scan.range[0, which[ranged]] = self.range[rows][ranged]
-            known = ~np.isnan(self.rssi[rows])
-            count = np.bincount(which[known], minlength=len(sender))
-            total = np.bincount(which[known], self.rssi[rows][known], len(sender))
-            scan.rssi[0, count > 0] = total[count > 0] / count[count > 0]
-            yield scan
+        anchors, count = self.anchors.sender[0], len(self.stamp)
+        heard = Observation.empty(1, count, 3, math.nan)
+        heard.sender[0], heard.range[0], heard.rssi[0] = self.sender, self.range, self.rssi
+        heard.position[0] = self.anchors.position[0, np.searchsorted(anchors, self.sender)]
+        last = np.flatnonzero(np.diff(period_number(self.stamp, period)))
+        for rows in np.split(np.arange(count), last + 1):
+            yield replace(gather(heard.columns(rows)), stamp=float(self.stamp[rows[-1]]))
 
 
 def read_log(path: str | Path) -> CsvLog:

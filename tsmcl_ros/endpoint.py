@@ -13,6 +13,7 @@ import math
 import numpy as np
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, param
+from tsmcl_ros.inputs import absolute, InputConfig, RangeInput
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import Estimate, MessageError, Prior
 
@@ -47,6 +48,8 @@ class Endpoint:
         Namespace of each vehicle, such as '/veh_0'; '' for relative names.
     frame_id : str
         The map's frame, which beacons must be given in and poses are.
+    inputs : InputConfig
+        What is listened to beside.
 
     Attributes
     ----------
@@ -57,10 +60,19 @@ class Endpoint:
         Topic of each vehicle's pose.
     period_outputs : list of str
         Topic of each vehicle's wanted beacon period; none if nobody wants any.
+    ranges : RangeInput
+        Whose topics come to the inputs once they are discovered.
+
+    Raises
+    ------
+    ConfigError
+        If the inputs and the localizer do not fit.
     """
 
-    def __init__(self, localizer: Localizer, names: Sequence[str], frame_id: str = 'map'):
+    def __init__(self, localizer: Localizer, names: Sequence[str], frame_id: str = 'map',
+                 inputs: InputConfig | None = None):
         self.localizer = localizer
+        self.ranges = RangeInput(inputs or InputConfig(), localizer, names, frame_id)
         self.frame_id = frame_id
         self.outputs = [_topic(name, 'pose') for name in names]
         self.period_outputs = [
@@ -76,6 +88,16 @@ class Endpoint:
                 ('initialpose', messages.POSE, self._initial_pose),
             ):
                 self.inputs[_topic(name, topic)] = kind, _for_vehicle(handler, vehicle)
+
+    def due(self) -> list[Estimate]:
+        """Return the estimates of the epochs that have become complete, in order of time."""
+        self.ranges.gather()
+        return self.localizer.due()
+
+    def finish(self) -> list[Estimate]:
+        """Return the estimates of the epochs still waiting, as nothing will come any more."""
+        self.ranges.gather(np.inf)
+        return self.localizer.finish()
 
     def poses(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
         """Yield each localized vehicle's index and its serialized pose."""
@@ -99,6 +121,7 @@ class Endpoint:
         anchors, frame_id = messages.decode_beacons(data)
         self._check_frame('anchor map', frame_id)
         self.localizer.anchor_map(anchors)
+        self.ranges.learn_map(anchors)
 
     def _anchor_links(self, data: bytes) -> None:
         links, frame_id = messages.decode_links(data)
@@ -112,6 +135,7 @@ class Endpoint:
 
     def _odometry(self, vehicle: int, data: bytes) -> None:
         self.localizer.odometry(vehicle, messages.decode_odometry(data))
+        self.ranges.gather()
 
     def _initial_pose(self, vehicle: int, data: bytes) -> None:
         pose = messages.decode_pose(data)
@@ -147,7 +171,7 @@ class Rest:
 
 
 def _topic(namespace: str, name: str) -> str:
-    return f'{namespace}/{name}' if namespace else name
+    return absolute(name, namespace) if namespace else name
 
 
 def _for_vehicle(handler: Callable[[int, bytes], None], vehicle: int) -> Callable[[bytes], None]:

@@ -282,7 +282,7 @@ class Localizer:
             be one or to know its place exactly.
         """
         stamp = observation.stamp
-        self._admit('beacons', stamp, self._passed[vehicle])
+        self.admit('beacons', stamp, self._passed[vehicle])
         if self._last is not None and stamp <= self._last:
             raise MessageError(
                 f'beacons: stamp {stamp:.6f} s is not allowed, must be after the last epoch, '
@@ -303,9 +303,37 @@ class Localizer:
         MessageError
             If it comes too late.
         """
-        self._admit('odometry', odometry.stamp, self._odometry.latest[vehicle])
+        self.admit('odometry', odometry.stamp, self._odometry.latest[vehicle])
         self._odometry.add(vehicle, odometry)
         self._now = max(self._now, odometry.stamp)
+
+    def admit(self, what: str, stamp: float, latest: float) -> None:
+        """
+        Start anew where a topic's time has jumped, as every message with a stamp must have asked.
+
+        Parameters
+        ----------
+        what : str
+            Names the messages in an error.
+        stamp, latest : float
+            Of a message, and of the last one on its topic, -inf if there was none [s].
+
+        Raises
+        ------
+        MessageError
+            If the message comes too late.
+        """
+        if self._leaps(stamp, latest):
+            self._restart()
+        elif stamp <= latest:
+            raise MessageError(
+                f'{what}: stamp {stamp:.6f} s is not allowed, must be after the last one, '
+                f'{latest:.6f} s')
+        elif stamp < self._now - self.config.time_jump:
+            raise MessageError(
+                f'{what}: stamp {stamp:.6f} s is not allowed, must be at most '
+                f'{self.config.time_jump:g} s before the newest of all messages, '
+                f'{self._now:.6f} s')
 
     def initial_pose(self, prior: Prior) -> None:
         """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
@@ -506,20 +534,6 @@ class Localizer:
             # Nobody knows yet who has odometry.
             expected[:] = True
         return bool((self._odometry.latest[expected] >= stamp).all())
-
-    def _admit(self, what: str, stamp: float, latest: float) -> None:
-        """Refuse a message that comes late; start anew where its topic's time has jumped."""
-        if self._leaps(stamp, latest):
-            self._restart()
-        elif stamp <= latest:
-            raise MessageError(
-                f'{what}: stamp {stamp:.6f} s is not allowed, must be after the last one, '
-                f'{latest:.6f} s')
-        elif stamp < self._now - self.config.time_jump:
-            raise MessageError(
-                f'{what}: stamp {stamp:.6f} s is not allowed, must be at most '
-                f'{self.config.time_jump:g} s before the newest of all messages, '
-                f'{self._now:.6f} s')
 
     def _leaps(self, stamp: float, latest: float) -> bool:
         """Return whether time jumps: back from the latest, or far ahead of all that is known."""

@@ -203,8 +203,11 @@ class Observation:
 
     def trimmed(self) -> Observation:
         """Return the same observation without the columns that are padding for all vehicles."""
-        columns = self.heard.any(axis=0)
-        return replace(self, **{name: getattr(self, name)[:, columns] for name in _ROW_FIELDS})
+        return self.columns(self.heard.any(axis=0))
+
+    def columns(self, index: Array) -> Observation:
+        """Return these columns of the rows, copied."""
+        return replace(self, **{name: getattr(self, name)[:, index] for name in _ROW_FIELDS})
 
 
 _ROW_FIELDS = tuple(

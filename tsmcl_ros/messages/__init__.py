@@ -24,6 +24,7 @@ from tsmcl_ros.messages.pacing import (
     UINT32,
 )
 from tsmcl_ros.messages.poses import (
+    decode_any_pose,
     decode_odometry,
     decode_pose,
     encode_odometry,
@@ -33,6 +34,8 @@ from tsmcl_ros.messages.poses import (
     POSE,
     Pose,
     POSE_ARRAY,
+    POSE_STAMPED,
+    POSES,
     UNMEASURED,
 )
 from tsmcl_ros.messages.ranges import decode_range, encode_range, RANGE, RangeReading
@@ -41,6 +44,7 @@ from tsmcl_ros.messages.trajectories import decode_odometries, decode_poses
 __all__ = [
     'BEACON',
     'CLOCK',
+    'decode_any_pose',
     'decode_beacons',
     'decode_clock',
     'decode_diagnostics',
@@ -69,6 +73,8 @@ __all__ = [
     'Pose',
     'POSE',
     'POSE_ARRAY',
+    'POSE_STAMPED',
+    'POSES',
     'RANGE',
     'RangeReading',
     'UINT32',

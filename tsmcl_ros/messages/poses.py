@@ -14,7 +14,11 @@ from tsmcl_ros.types import Array, MessageError, Odometry
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
+
+POSES = (POSE, POSE_STAMPED, ODOMETRY)
+"""Types that hold one pose with a stamp."""
 
 UNMEASURED = 1e6
 """Variance [m^2, rad^2] that stands for 'not measured' in a pose's covariance."""
@@ -102,10 +106,20 @@ def decode_pose(data: bytes) -> Pose:
     MessageError
         If the bytes are not such a pose, or a number is not finite, or the covariance none.
     """
+    return decode_any_pose(POSE, data)
+
+
+def decode_any_pose(kind: str, data: bytes) -> Pose:
+    """Return the pose of a message of a type in `POSES`; the covariance may be zero."""
     reader = cdr.Reader(data)
     stamp, frame_id = read_header(reader)
+    if kind == ODOMETRY:
+        reader.string()
     position, yaw = _read_pose(reader)
-    covariance = np.array(reader.values('36d')).reshape(6, 6)
+    covariance = np.zeros((6, 6))
+    if kind != POSE_STAMPED:
+        covariance = np.array(reader.values('36d')).reshape(6, 6)
+    reader.skip(8 * TWIST if kind == ODOMETRY else 0)
     reader.finish()
     if not is_covariance(covariance):
         raise MessageError(

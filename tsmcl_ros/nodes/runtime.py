@@ -37,6 +37,7 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, parameters
+from tsmcl_ros.inputs import compiled
 from tsmcl_ros.nodes.parameters import declare
 from tsmcl_ros.types import ConfigError, MessageError, TsmclError
 
@@ -357,17 +358,9 @@ def topic_filter(parameter: str, patterns: Iterable[str]) -> Callable[[str], boo
     ConfigError
         If one is no regular expression.
     """
-    compiled = []
-    for pattern in patterns:
-        try:
-            compiled.append(re.compile(pattern))
-        except re.error as error:
-            raise ConfigError(
-                f'{parameter}: {pattern!r} is not allowed, must be a topic or a regular '
-                f'expression: {error}'
-            ) from None
+    expressions = compiled(parameter, patterns)
     return lambda topic: any(
-        expression.fullmatch(topic) or expression.fullmatch(topic, 1) for expression in compiled
+        expression.fullmatch(topic) or expression.fullmatch(topic, 1) for expression in expressions
     )
 
 
