@@ -3,6 +3,7 @@
 from functools import cache
 import json
 from pathlib import Path
+import time
 
 import numpy as np
 import pytest
@@ -200,3 +201,46 @@ def test_40_cars_in_a_city_find_themselves_by_beacons_of_1_km(shared_data):
     # Cars that wait at traffic lights learn slowly: 5000 particles get no further.
     assert np.median(errors[:20]) > 100
     assert np.median(errors[-20:]) < 20
+
+
+# --- robots with ultra-wideband radios, in a bag of ROS 2 as it was recorded ------------------
+
+TIERS = ('--params', str(CONFIG / 'tiers.yaml'), '--remap', 'odom:=/cali/turtle01/odom',
+         '--remap', 'ground_truth:=/vrpn_client_node/turtlebot1_cap/pose')
+
+
+@pytest.fixture(scope='module')
+def tiers(shared_data, tmp_path_factory):
+    """Return the bag that the README's command line makes."""
+    out = str(tmp_path_factory.mktemp('tiers') / 'out')
+    assert localize_bag.main(
+        [str(shared_data / 'tiers_bag'), '--out', out, '--seed', '1', *TIERS]) == 0
+    return out
+
+
+def test_turtlebot1_is_localized_among_others_better_than_its_ranges_err(tiers):
+    """They err by 0.2 to 0.45 m all the time, and by as much more as robots shade them."""
+    [run] = read_runs(tiers)
+    assert run.overall.availability > 0.99
+    assert np.sqrt(np.mean(run.error ** 2)) < 0.3
+    assert run.anchors.tolist() == [pytest.approx([5.30, 6.18, 0.0])]
+
+
+def test_poses_have_the_stamps_of_the_radios_not_of_the_recording(tiers):
+    with Reader(tiers) as reader:
+        message = next(reader.messages(['/pose']))
+    stamp = messages.decode_pose(message.data).stamp
+    assert time.gmtime(stamp)[:2] == (2022, 10)
+    assert time.gmtime(message.stamp)[:2] == (2022, 11)
+
+
+def test_what_cannot_be_used_of_a_bag_is_named_once(shared_data, tmp_path, capsys):
+    assert localize_bag.main([
+        str(shared_data / 'tiers_bag'), '--out', str(tmp_path / 'out'), *TIERS,
+        '--ranges', r'/uwb/tof/n_7/n_(\d+)/distance']) == 0
+    notes = capsys.readouterr().err.splitlines()
+    assert sorted(note.split(',')[0] for note in notes) == [
+        'note: header stamps are 4160411.0 s before the times of recording: epochs and poses go '
+        'by the header stamps',
+        'note: left out 126 ranges of id 8',
+        'note: skipped what is of type depthai_ros_msgs/msg/SpatialDetectionArray']

@@ -94,11 +94,6 @@ class Endpoint:
         self.ranges.gather()
         return self.localizer.due()
 
-    def finish(self) -> list[Estimate]:
-        """Return the estimates of the epochs still waiting, as nothing will come any more."""
-        self.ranges.gather(np.inf)
-        return self.localizer.finish()
-
     def poses(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
         """Yield each localized vehicle's index and its serialized pose."""
         yaw = estimate.yaw
@@ -132,6 +127,7 @@ class Endpoint:
         observation, frame_id = messages.decode_beacons(data)
         self._check_frame('beacons', frame_id)
         self.localizer.beacons(vehicle, observation)
+        self.ranges.gather()
 
     def _odometry(self, vehicle: int, data: bytes) -> None:
         self.localizer.odometry(vehicle, messages.decode_odometry(data))

@@ -34,22 +34,20 @@ class InputConfig(Config):
     ranges: tuple[str, ...] = param(
         (), 'topics of sensor_msgs/Range, or regular expressions that match whole ones, relative '
         'to the namespace or absolute; the number in a group names the sender, without a group '
-        'that in frame_id', read_only=True)
+        'that in frame_id')
     range_epoch: float = param(
         0.1, 'ranges of this time are one epoch; the vehicle should move by less than a range '
-        'errs in it', unit='s', above=0.0, read_only=True)
+        'errs in it', unit='s', above=0.0)
     anchors: tuple[str, ...] = param(
-        (), "anchors, beside those of /anchor_map, each 'id x y' or 'id x y z' [m]",
-        read_only=True)
+        (), "anchors, beside those of /anchor_map, each 'id x y' or 'id x y z' [m]")
     references: tuple[str, ...] = param(
         (), "senders that move, each 'id topic' of PoseStamped, PoseWithCovarianceStamped or "
-        'Odometry', read_only=True)
+        'Odometry')
     reference_std: float = param(
         0.1, 'standard deviation of poses of references that do not tell theirs', unit='m',
-        above=0.0, read_only=True)
+        above=0.0)
     reference_age: float = param(
-        1.0, 'how far from a range the pose of a reference may be in time', unit='s', above=0.0,
-        read_only=True)
+        1.0, 'how far from a range the pose of a reference may be in time', unit='s', above=0.0)
 
     def check(self) -> None:
         """Hold that patterns, anchors and references can be read, and no id comes twice."""
@@ -63,12 +61,12 @@ class InputConfig(Config):
     @property
     def anchor_positions(self) -> dict[int, Array]:
         """Position (3,) [m] of each anchor."""
-        return _table('anchors', self.anchors, 'id x y z', _position)
+        return _table('anchors', self.anchors, "'id x y' or 'id x y z'", _position)
 
     @property
     def reference_topics(self) -> dict[int, str]:
         """Topic of each reference's poses."""
-        return _table('references', self.references, 'id topic', _topic)
+        return _table('references', self.references, "'id topic'", _topic)
 
 
 class RangeInput:
@@ -163,8 +161,8 @@ class RangeInput:
         """Return what is asked for in vain, a line each, where these are all topics."""
         there = sorted(topic for topic, kind in topics.items() if kind == messages.RANGE)
         lines = [
-            f'ranges: {pattern.pattern!r} matches no topic of {messages.RANGE}, of which there '
-            f'{"are " + _few(there) if there else "is none"}'
+            f"ranges: '{pattern.pattern}' matches no topic of {messages.RANGE}, of which there "
+            f'{"are " + few(there) if there else "is none"}'
             for pattern in self._patterns if pattern not in self._matched]
         allowed = ', '.join(messages.POSES)
         for sender, topic in self._config.reference_topics.items():
@@ -173,7 +171,7 @@ class RangeInput:
                 lines.append(
                     f'references: topic {topic} of id {sender} '
                     + (f'has type {kind}, must have one of {allowed}' if kind else
-                       f'is not there, must be one of {_few(_of_kinds(topics, messages.POSES))}'))
+                       f'is not there, must be one of {few(of_kinds(topics, messages.POSES))}'))
         return lines
 
     def gather(self, now: float | None = None) -> None:
@@ -245,6 +243,14 @@ class RangeInput:
         return take
 
 
+def unplaced_note(sender: int, count: int) -> str:
+    """Say what to do about ranges of a sender that nobody has placed."""
+    return (
+        f'left out {count} ranges of id {sender}, as nobody tells where it was: give its place in '
+        'anchors, its topic of poses in references (within reference_age), or leave its ranges '
+        'out')
+
+
 def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:
     """
     Return the regular expressions that topics are named by.
@@ -302,7 +308,7 @@ def _table(parameter: str, rows: Iterable[str], form: str, parse: Callable[[list
                 raise ValueError
             value = parse(rest)
         except ValueError:
-            raise ConfigError(f'{parameter}: {row!r} is not allowed, must be {form!r}') from None
+            raise ConfigError(f'{parameter}: {row!r} is not allowed, must be {form}') from None
         if int(identity) in table:
             raise ConfigError(f'{parameter}: id {identity} comes twice, must come once')
         table[int(identity)] = value
@@ -322,10 +328,12 @@ def _topic(words: list[str]) -> str:
     return topic
 
 
-def _of_kinds(topics: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
+def of_kinds(topics: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
+    """Return the topics of some types."""
     return sorted(topic for topic, kind in topics.items() if kind in set(kinds))
 
 
-def _few(names: Sequence[str], most: int = 6) -> str:
+def few(names: Sequence[str], most: int = 6) -> str:
+    """Name a few, and how many more there are."""
     shown = ', '.join(names[:most]) or 'none'
     return shown if len(names) <= most else f'{shown} and {len(names) - most} more'

@@ -426,3 +426,84 @@ def test_stopping_leaves_a_complete_bag(start, tmp_path):
     assert (tmp_path / 'out' / 'metadata.yaml').exists()
     with (tmp_path / 'out' / 'out.mcap').open('rb') as file:
         assert make_reader(file, validate_crcs=True).get_summary() is not None
+
+
+# --- topics by other names -------------------------------------------------------------------
+
+def renamed(rows, **names):
+    return [(stamp, names.get(topic.rpartition('/')[2], topic), kind, data)
+            for stamp, topic, kind, data in rows]
+
+
+def test_remapped_topics_serve_as_those_they_stand_for(bag, tmp_path):
+    other = write(tmp_path / 'other', renamed(drive(), odom='/wheels', ground_truth='/mocap'))
+    assert localize(other, tmp_path / 'a', '--remap', 'odom:=/wheels',
+                    '--remap', 'ground_truth:=/mocap') == 0
+    assert localize(bag, tmp_path / 'b') == 0
+    assert read(tmp_path / 'a') == read(tmp_path / 'b')
+
+
+def test_a_remapped_topic_that_is_not_there_is_named(bag, tmp_path, capsys):
+    assert 'has no topic /veh_0/wheels, which odom is remapped to; has /anchor_map' in refused(
+        capsys, bag, tmp_path / 'out', '--remap', 'odom:=wheels')
+
+
+def test_ground_truth_without_poses_is_refused(bag, tmp_path, capsys):
+    assert 'ground_truth: topic /anchor_map has type sensor_msgs/msg/PointCloud2, must' in refused(
+        capsys, bag, tmp_path / 'out', '--remap', 'ground_truth:=/anchor_map')
+
+
+@pytest.mark.parametrize(('rules', 'line'), [
+    (['odom=/x'], "remap: 'odom=/x' is not allowed, must be FROM:=TO with FROM one of beacons"),
+    (['tf:=/x'], "remap: 'tf:=/x' is not allowed"),
+    (['odom:=/x', 'odom:=/y'], 'remap: odom comes twice, must come once')])
+def test_remappings_are_refused(rules, line, bag, tmp_path, capsys):
+    options = [word for rule in rules for word in ('--remap', rule)]
+    assert line in refused(capsys, bag, tmp_path / 'out', *options)
+
+
+def test_the_vehicles_can_be_chosen(tmp_path, capsys):
+    path = write(tmp_path / 'drive', drive(('/veh_0', '/veh_1')))
+    assert localize(path, tmp_path / 'out', '--namespace', 'veh_1') == 0
+    assert capsys.readouterr().out == f'{tmp_path}/out: 11 poses, vehicles: 1\n'
+
+
+# --- ranges as drivers publish them ----------------------------------------------------------
+
+def ranged(names=('/veh_0',)):
+    """Return the drive without beacons, but with ranges to the anchors at the four corners."""
+    rows = [row for row in drive(names) if 'beacons' not in row[1]]
+    for vehicle, name in enumerate(names):
+        for stamp in np.arange(0.5, 10.0, 0.5).tolist():
+            for number, corner in enumerate(CORNERS[:, :2], start=1):
+                distance = float(np.linalg.norm(place(stamp, vehicle) - corner))
+                rows.append((stamp, f'{name}/uwb/{number}', messages.RANGE, messages.encode_range(
+                    messages.RangeReading(stamp, '', distance, 0, 0, 0.01))))
+    return sorted(rows, key=lambda row: row[0])
+
+
+def test_ranges_of_several_vehicles_place_them_and_become_their_beacons(tmp_path):
+    names = ('/veh_0', '/veh_1')
+    bag = write(tmp_path / 'bag', ranged(names))
+    assert localize(bag, tmp_path / 'out', '--ranges', r'uwb/(\d+)', '--range-calibration', 'off',
+                    '--seed', '1') == 0
+    for vehicle, name in enumerate(names):
+        last = poses(tmp_path / 'out', name)[-1]
+        np.testing.assert_allclose(last.position[:2], place(last.stamp, vehicle), atol=1.0)
+        data = [data for topic, _, data in read(tmp_path / 'out') if topic == f'{name}/beacons']
+        assert len(data) == 19
+        assert messages.decode_beacons(data[0])[0].sender.tolist() == [[1, 2, 3, 4]]
+
+
+def test_who_has_ranges_but_names_none_is_told_how(tmp_path, capsys):
+    bag = write(tmp_path / 'bag', ranged())
+    assert refused(capsys, bag, tmp_path / 'out') == (
+        f'{bag}: has no topic NAMESPACE/beacons of type sensor_msgs/msg/PointCloud2, but of type '
+        'sensor_msgs/msg/Range, /veh_0/uwb/1, /veh_0/uwb/2, /veh_0/uwb/3, /veh_0/uwb/4: name in '
+        'ranges which to use')
+
+
+def test_a_pattern_that_matches_nothing_is_named(bag, tmp_path, capsys):
+    assert refused(capsys, bag, tmp_path / 'out', '--ranges', r'/uwb/(\d+)') == (
+        f"{bag}: ranges: '/uwb/(\\d+)' matches no topic of sensor_msgs/msg/Range, of which there "
+        'is none')

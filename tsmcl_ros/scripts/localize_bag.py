@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+import math
 import re
 import sys
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
-from tsmcl_ros import messages
 from tsmcl_ros.bag import Message, Reader, STORAGES, Writer
 from tsmcl_ros.config import (
     add_arguments,
@@ -22,22 +22,18 @@ from tsmcl_ros.config import (
     load_yaml,
     parameters,
 )
-from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD
-from tsmcl_ros.endpoint import Endpoint, OutputConfig, Rest
+from tsmcl_ros.endpoint import Endpoint, OutputConfig
+from tsmcl_ros.inputs import absolute, InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.scripts.cli import command_line, run_script
-from tsmcl_ros.types import BagError, Estimate, MessageError
+from tsmcl_ros.scripts.outlet import Outlet
+from tsmcl_ros.scripts.wiring import copies, Remapping, vehicles, wire
+from tsmcl_ros.types import MessageError
 
-# Carried over to the new bag, so that it can be evaluated by itself.
-_CONTEXT = {
-    'anchor_map': messages.POINT_CLOUD,
-    'anchor_links': messages.POINT_CLOUD,
-    'beacons': messages.POINT_CLOUD,
-    'ground_truth': messages.ODOMETRY,
-}
 # What a parameter file for the node may hold that has no meaning here.
 _NODES_OWN = {'use_sim_time', 'autostart', *(item.name for item in parameters(OutputConfig))}
 _MAX_REASONS = 5
+_MUCH = 1.0  # s, between a message's stamp and the time of recording
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,11 +45,12 @@ def _localize(arguments: Sequence[str] | None) -> None:
     options = _parser().parse_args(arguments)
     file = load_yaml(options.params, 'localizer') if options.params else {}
     settings = {name: value for name, value in file.items() if name not in _NODES_OWN}
-    settings |= given_arguments(options, *CONFIGS)
+    settings |= given_arguments(options, InputConfig, *CONFIGS)
     frame_id = options.global_frame_id or build(OutputConfig, file).global_frame_id
     outcome = localize_bag(
         options.bag, options.out, settings, options.storage, frame_id,
-        progress=not options.quiet, command=command_line('localize_bag', arguments))
+        remap=options.remap, namespaces=options.namespace, progress=not options.quiet,
+        command=command_line('localize_bag', arguments))
     for note in outcome.notes():
         print(f'note: {note}', file=sys.stderr)
     print(f'{options.out}: {outcome.poses} poses, vehicles: {outcome.vehicles}')
@@ -70,6 +67,12 @@ class Outcome:
         How many there are in the new bag.
     restarts : int
         How often time jumped, so that the localizer started anew.
+    undecodable : mapping of str to str
+        Topics of the old bag whose types nobody defines, and these types.
+    lag : float
+        By how much the header stamps are before the log times at first [s], NaN if there are none.
+    unplaced : mapping of int to int
+        How many ranges of which sender were of no use, as nobody tells where it is.
     rejected : Counter of (topic, reason)
         How often messages were rejected; numbers in the reasons are those of the first one.
     """
@@ -77,6 +80,9 @@ class Outcome:
     vehicles: int
     poses: int = 0
     restarts: int = 0
+    undecodable: Mapping[str, str] = field(default_factory=dict)
+    lag: float = math.nan
+    unplaced: Mapping[int, int] = field(default_factory=dict)
     rejected: Counter[tuple[str, str]] = field(default_factory=Counter)
     _first: dict[tuple[str, str], str] = field(default_factory=dict)
 
@@ -85,8 +91,25 @@ class Outcome:
         kind = topic, re.sub(r'\d+(\.\d+)?', '#', reason)
         self.rejected[topic, self._first.setdefault(kind, reason)] += 1
 
+    @contextmanager
+    def counting(self, topic: str) -> Iterator[None]:
+        """Count a message of a topic that turns out to be none, and go on."""
+        try:
+            yield
+        except MessageError as error:
+            self.reject(topic, str(error))
+
     def notes(self) -> Iterator[str]:
         """Yield what a user ought to know, a line each."""
+        for kind in sorted(set(self.undecodable.values())):
+            topics = sorted(topic for topic, its in self.undecodable.items() if its == kind)
+            yield f'skipped what is of type {kind}, which nobody defines: {", ".join(topics)}'
+        if abs(self.lag) > _MUCH:
+            yield (f'header stamps are {abs(self.lag):.1f} s '
+                   f'{"before" if self.lag > 0 else "after"} the times of recording: epochs and '
+                   'poses go by the header stamps')
+        for sender, count in sorted(self.unplaced.items()):
+            yield unplaced_note(sender, count)
         if self.restarts:
             yield f'started anew where time jumped, {self.restarts} times'
         for (topic, reason), count in self.rejected.most_common(_MAX_REASONS):
@@ -98,14 +121,16 @@ class Outcome:
 
 def localize_bag(
     bag: str, out: str, settings: Mapping[str, Any], storage: str = STORAGES[0],
-    frame_id: str = 'map', progress: bool = False, command: str = '',
+    frame_id: str = 'map', remap: Sequence[str] = (), namespaces: Sequence[str] = (),
+    progress: bool = False, command: str = '',
 ) -> Outcome:
     """
     Localize every vehicle of a bag and write a bag with the poses.
 
     The new bag has, beside `NAMESPACE/pose` and `/diagnostics`, what an evaluation needs of the
-    old one: anchors, beacons and ground truth. A pose's log time is that of the message that made
-    it due. How it was made is left in it, and how the old one was.
+    old one: anchors, beacons, also those gathered from ranges, and ground truth. A pose's log
+    time is that of the message that made it due. How it was made is left in it, and how the old
+    one was.
 
     Parameters
     ----------
@@ -117,6 +142,11 @@ def localize_bag(
         Of the new bag.
     frame_id : str
         The map's frame.
+    remap : sequence of str
+        Rules FROM:=TO, by which a topic of the bag stands for one that is listened to, or for
+        ground truth, which becomes Odometry.
+    namespaces : sequence of str
+        Of the vehicles; by default all that have beacons or ranges.
     progress : bool
         Show a progress bar where standard error is a terminal.
     command : str
@@ -125,110 +155,62 @@ def localize_bag(
     Raises
     ------
     BagError
-        If the bag cannot be read or has no beacons, or the new one exists.
+        If the bag cannot be read or has not what is asked for, or the new one exists.
     ConfigError
         If the settings are not allowed.
     """
     with Reader(bag) as reader:
-        names = _vehicles(reader)
-        outcome = Outcome(len(names))
-        localizer = Localizer(settings, len(names))
-        endpoint = Endpoint(localizer, names, frame_id)
-        kept = {topic for topic, kind in reader.topics.items()
-                if _CONTEXT.get(topic.rpartition('/')[2]) == kind}
-        wanted = kept | (set(endpoint.inputs) & set(reader.topics))
+        inputs = build(InputConfig, settings)
+        remapping = Remapping(remap)
+        names = [absolute(name, '/') for name in namespaces] or vehicles(reader, inputs)
+        remapping.check(reader, names)
+        outcome = Outcome(len(names), undecodable=reader.undecodable)
+        own = {item.name for item in parameters(InputConfig)}
+        localizer = Localizer(
+            {name: value for name, value in settings.items() if name not in own}, len(names))
+        endpoint = Endpoint(localizer, names, frame_id, inputs)
+        takers = wire(endpoint, names, remapping, reader)
+        kept = copies(names, remapping, reader.topics)
+        wanted = kept.keys() | takers.keys()
         about = {
             **({'command': command} if command else {}),
-            'localizer': dump_yaml(*localizer.configs, commented=False),
+            'localizer': dump_yaml(inputs, *localizer.configs, commented=False),
             **{f'input: {name}': text for name, text in reader.about.items()},
         }
         with Writer(out, storage, about) as writer:
             for topic in sorted(kept):
-                writer.topic(topic, reader.topics[topic], topic in reader.latched)
-            for topic in endpoint.outputs:
-                writer.topic(topic, messages.POSE, latched=True)
-            writer.topic('/diagnostics', messages.DIAGNOSTICS)
-            outlet = _Outlet(endpoint, names, writer)
+                for copy in kept[topic]:
+                    writer.topic(copy.topic, copy.type, topic in reader.latched)
+            outlet = Outlet(endpoint, names, writer)
+            outlet.stamp = reader.start
+            if inputs.anchors:
+                outlet.write_anchors()
             total = sum(reader.counts[topic] for topic in wanted)
-            stamp = reader.start
             for message in tqdm(reader.messages(wanted), total=total, unit='msg',
                                 disable=None if progress else True, leave=False):
-                stamp = message.stamp
-                if message.topic in kept:
-                    writer.write(message.topic, stamp, message.data)
-                _feed(endpoint, message, outcome)
-                outcome.poses += outlet.write(localizer.due(), stamp)
-            outcome.poses += outlet.write(localizer.finish(), stamp)
+                outlet.stamp = message.stamp
+                for copy in kept.get(message.topic, ()):
+                    with outcome.counting(message.topic):
+                        writer.write(copy.topic, message.stamp, copy.convert(message.data))
+                for kind, handler in takers.get(message.topic, ()):
+                    with outcome.counting(message.topic):
+                        _hand(handler, kind, message)
+                if math.isnan(outcome.lag) and localizer.now > -math.inf:
+                    outcome.lag = message.stamp - localizer.now
+                outlet.write(localizer.due())
+            with outcome.counting('the last epochs'):
+                endpoint.ranges.gather(math.inf)
+            outlet.write(localizer.finish())
+    outcome.poses = outlet.poses
+    outcome.unplaced = endpoint.ranges.unplaced
     outcome.restarts = localizer.restarts
     return outcome
 
 
-def _feed(endpoint: Endpoint, message: Message, outcome: Outcome) -> None:
-    """Hand one message to the localizer, counting it if it is rejected."""
-    kind, handler = endpoint.inputs.get(message.topic, ('', None))
-    if handler is None:
-        return
-    try:
-        if message.type != kind:
-            raise MessageError(f'type {message.type} is not allowed, must be {kind}')
-        handler(message.data)
-    except MessageError as error:
-        outcome.reject(message.topic, str(error))
-
-
-class _Outlet:
-    """
-    Writes what an endpoint's localizer says into the new bag.
-
-    Parameters
-    ----------
-    endpoint : Endpoint
-    names : sequence of str
-        Namespaces of its vehicles.
-    writer : Writer
-        With the topics registered.
-    """
-
-    def __init__(self, endpoint: Endpoint, names: Sequence[str], writer: Writer):
-        self._endpoint = endpoint
-        self._names = names
-        self._writer = writer
-        self._rest = Rest()
-        self._status = np.full(len(names), -1)
-
-    def write(self, estimates: list[Estimate], stamp: float) -> int:
-        """Write what has become due at a log time [s]; return the number of poses."""
-        poses = [pose for estimate in estimates for pose in self._endpoint.poses(estimate)]
-        for vehicle, data in poses:
-            self._writer.write(self._endpoint.outputs[vehicle], stamp, data)
-        if estimates:
-            self._diagnose(estimates[-1].stamp, stamp)
-        return len(poses)
-
-    def _diagnose(self, now: float, stamp: float) -> None:
-        """Write how the vehicles are doing, now and then and when it changes."""
-        localizer = self._endpoint.localizer
-        status = localizer.health.status
-        changed = (status != self._status).any()
-        if self._rest.is_over(now, DIAGNOSTICS_PERIOD) or changed:
-            self._status = status
-            self._writer.write('/diagnostics', stamp, messages.encode_diagnostics(
-                now, diagnose(localizer, self._names, 'localize_bag', status, {})))
-
-
-def _vehicles(reader: Reader) -> list[str]:
-    """Return the namespaces that have beacons, in the order of their numbers."""
-    topics = [
-        topic for topic, kind in reader.topics.items()
-        if topic.endswith('/beacons') and topic != '/beacons' and kind == messages.POINT_CLOUD]
-    if not topics:
-        raise BagError(
-            f'{reader.path}: has no topic NAMESPACE/beacons of type {messages.POINT_CLOUD}, has '
-            f'{", ".join(sorted(reader.topics))}')
-    if not any(reader.counts[topic] for topic in topics):
-        raise BagError(f'{reader.path}: has no message on {", ".join(sorted(topics))}')
-    return sorted((topic.removesuffix('/beacons') for topic in topics), key=lambda name: [
-        int(part) if part.isdigit() else part for part in re.split(r'(\d+)', name)])
+def _hand(handler: Callable[[bytes], None], kind: str, message: Message) -> None:
+    if message.type != kind:
+        raise MessageError(f'type {message.type} is not allowed, must be {kind}')
+    handler(message.data)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -241,8 +223,13 @@ def _parser() -> argparse.ArgumentParser:
                         help='storage of the new bag (default: %(default)s)')
     parser.add_argument('--global-frame-id', metavar='NAME',
                         help="the map's frame (default: that of the parameter file, or map)")
+    parser.add_argument('--remap', action='append', default=[], metavar='FROM:=TO',
+                        help='let a topic of the bag stand for another, as ROS does; also '
+                        'ground_truth:=TOPIC, for an evaluation')
+    parser.add_argument('--namespace', action='append', default=[], metavar='NAME',
+                        help='namespace of a vehicle (default: all that have beacons or ranges)')
     parser.add_argument('--quiet', action='store_true', help='show no progress')
-    add_arguments(parser, *CONFIGS)
+    add_arguments(parser, InputConfig, *CONFIGS)
     return parser
 
 
