@@ -8,8 +8,9 @@ from pathlib import Path
 import re
 
 import pytest
-from tsmcl_ros.config import parameters
+from tsmcl_ros.config import build, load_yaml, parameters, refuse_unknown
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.nodes.localizer import LocalizerNode
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {str(path.relative_to(ROOT)): path for path in sorted(
@@ -81,3 +82,22 @@ def test_messages_in_the_troubleshooting_are_those_of_the_sources() -> None:
     for line in quoted:
         for piece in re.split(r'<.*?>', line):
             assert any(piece in text for text in sources), line
+
+
+def test_parameters_that_users_of_amcl_are_sent_to_exist() -> None:
+    known = {item.name for config in LocalizerNode.configs for item in parameters(config)}
+    text = PAGES['docs/amcl.md'].read_text()
+    rows = re.findall(r'^\| `.*?` \| (.*?) \|', text.partition('## Topics')[0], re.MULTILINE)
+    names = {name for row in rows for name in re.findall('`(.*?)`', row)}
+    assert len(rows) > 30
+    assert names - {'use_sim_time'} <= known
+
+
+def test_the_example_for_users_of_amcl_is_one_that_the_localizer_takes(tmp_path) -> None:
+    path = tmp_path / 'localizer.yaml'
+    example = PAGES['docs/amcl.md'].read_text().rpartition('```yaml\n')[2].partition('```')[0]
+    path.write_text(example)
+    values = load_yaml(path, 'localizer')
+    refuse_unknown(values, LocalizerNode.configs, str(path))
+    for config in LocalizerNode.configs:
+        build(config, values)
