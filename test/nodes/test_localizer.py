@@ -229,6 +229,21 @@ def test_diagnostics_go_from_lost_to_ok_to_stale(begin: Callable[..., Scene]) ->
     assert told[-1].message.startswith('STALE')
 
 
+def test_every_second_of_the_messages_time_is_diagnosed(begin: Callable[..., Scene]) -> None:
+    scene = begin()
+    told: list[float] = []
+    scene.probe.listen('/diagnostics', messages.DIAGNOSTICS,
+                       lambda data: told.append(messages.decode_diagnostics(data)[0]), RELIABLE)
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer')
+    for number in range(1, 6):
+        source.step()
+        scene.until(lambda number=number: len(poses) == number, 'a pose')
+    stamps = [messages.decode_pose(data).stamp for data in poses]
+    scene.until(lambda: set(np.round(stamps, 3)) <= set(np.round(told, 3)), 'a diagnosis of each')
+
+
 def test_services_have_the_names_of_amcl(begin: Callable[..., Scene]) -> None:
     scene = begin()
     poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)

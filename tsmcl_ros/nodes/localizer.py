@@ -68,6 +68,7 @@ class LocalizerNode(ManagedNode):
     def begin(self) -> None:
         """Wait for messages; those of what went on meanwhile are missing, as in an outage."""
         self._arrival = time.monotonic()
+        self._diagnosed = -math.inf
         # What the localizer's time was at the last message, and what /clock showed next.
         self._told: float | None = None
         self._told_at: float | None = None
@@ -107,10 +108,12 @@ class LocalizerNode(ManagedNode):
         self._markers = self.create_lifecycle_publisher(
             MarkerArray, 'markers', runtime.LATCHED)
         self._marker_rest = Rest()
+        self._diagnosis_rest = Rest()
         self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
-            DIAGNOSTICS_PERIOD, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            DIAGNOSTICS_PERIOD, self._diagnose_anyway,
+            clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_service(Empty, 'reinitialize_global_localization', self._reinitialize)
         self.create_service(Empty, 'request_nomotion_update', self._publish_again)
 
@@ -168,7 +171,7 @@ class LocalizerNode(ManagedNode):
                 f'started anew')
         self._estimate = estimates[-1]
         self._publish_views(self._estimate)
-        self._note_status()
+        self._note_status(self._estimate.stamp)
 
     def _publish_poses(self, estimate: Estimate) -> None:
         runtime.publish_all(
@@ -191,7 +194,7 @@ class LocalizerNode(ManagedNode):
                 estimate, self._anchors, self._localizer.channel.radio_range,
                 self._output.global_frame_id))
 
-    def _note_status(self) -> None:
+    def _note_status(self, stamp: float) -> None:
         """Log changes of the vehicles' status, one line for all that change alike."""
         status = self._localizer.health.status
         changed = status != self._status
@@ -199,21 +202,30 @@ class LocalizerNode(ManagedNode):
             rows = np.flatnonzero(changed & (status == value)).tolist()
             self.get_logger().info(f'{NAMES[value]}: {_enumerate(self._vehicles, rows)}')
         self._status = status
-        if changed.any():
-            self._diagnose()
+        if self._diagnosis_rest.is_over(stamp, DIAGNOSTICS_PERIOD) or changed.any():
+            self._diagnose(stamp)
 
-    def _diagnose(self) -> None:
-        """Publish how each vehicle's localization is doing."""
-        if self.state != 'active':
-            return
+    def _diagnose_anyway(self) -> None:
+        """Publish how it is going where no epoch has had it published."""
+        if self.state == 'active' and (
+                time.monotonic() - self._diagnosed > 0.9 * DIAGNOSTICS_PERIOD):
+            # By the messages' clock, as poses are stamped, once there are any.
+            stamp = self._localizer.now
+            if not self.follows_clock:
+                stamp += time.monotonic() - self._arrival
+            self._diagnose(
+                stamp if math.isfinite(stamp) else self.get_clock().now().nanoseconds / 1e9)
+
+    def _diagnose(self, stamp: float) -> None:
+        """Publish how each vehicle's localization is doing at a time [s]."""
+        self._diagnosed = time.monotonic()
+        silence = self._diagnosed - self._arrival
         status = self._localizer.health.status
-        silence = time.monotonic() - self._arrival
         if silence > self._localizer.health_config.stale_after:
             status = np.maximum(status, STALE)
         diagnoses = diagnose(
             self._localizer, self._vehicles, self.get_name(), status,
             {'latency [s]': self._latency, 'time since the last message [s]': silence})
-        stamp = self.get_clock().now().nanoseconds / 1e9
         self._diagnostics.publish(messages.encode_diagnostics(stamp, diagnoses))
 
     def _reinitialize(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
