@@ -66,6 +66,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         *share('bags'),
         *share('config', '*.yaml'),
+        *share('examples', '*.py'),
     ],
     zip_safe=False,
     python_requires='>=3.11',

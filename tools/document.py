@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 import inspect
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from tsmcl_ros.config import Config, Parameter, parameters
+from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes.anchor import Anchor
@@ -20,12 +21,25 @@ from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.recorder import Recorder
 from tsmcl_ros.nodes.replay import Replay
-from tsmcl_ros.nodes.runtime import Node
 from tsmcl_ros.nodes.simulator import Simulator
 from tsmcl_ros.world import MOBILITY, MobilityConfig
 
 PARAMETERS = Path(__file__).resolve().parent.parent / 'docs' / 'parameters.md'
-NODES: tuple[type[Node], ...] = (LocalizerNode, Fleet, Anchor, Simulator, Recorder, Replay)
+
+
+class Executable(NamedTuple):
+    """What takes parameters, and which of them can change while it runs; None if it takes none."""
+
+    name: str
+    configs: tuple[type[Config], ...]
+    adjustable: tuple[str, ...] | None
+
+
+EXECUTABLES = (
+    *(Executable(node.default_name, node.configs, node.adjustable)
+      for node in (LocalizerNode, Fleet, Anchor, Simulator, Recorder, Replay)),
+    Executable('localize_bag', (InputConfig, *CONFIGS), None),
+)
 METHOD_CONFIGS = {name: method.Config for name, method in METHODS.items()}
 MOBILITY_CONFIGS = {name: config for name, (config, _) in MOBILITY.items()}
 
@@ -48,11 +62,11 @@ hold from the next `configure` on. Every node has ROS's own `use_sim_time` too.
 
 def document() -> str:
     """Return the text of docs/parameters.md."""
-    takers: dict[type[Config], list[type[Node]]] = {}
-    for node in NODES:
-        for config in node.configs:
-            takers.setdefault(config, []).append(node)
-    sections = [INTRODUCTION, _contents(takers)]
+    takers: dict[type[Config], list[Executable]] = {}
+    for executable in EXECUTABLES:
+        for config in executable.configs:
+            takers.setdefault(config, []).append(executable)
+    sections = [INTRODUCTION, _contents()]
     for config, nodes in takers.items():
         if config not in METHOD_CONFIGS.values():
             sections.append(_section(config, nodes, takers))
@@ -63,14 +77,11 @@ def document() -> str:
     return '\n'.join(sections)
 
 
-def _contents(takers: Mapping[type[Config], Sequence[type[Node]]]) -> str:
+def _contents() -> str:
     """Return which executable takes which groups."""
-    rows = []
-    for node in NODES:
-        titles = dict.fromkeys(_title(config) for config in node.configs)
-        rows.append([f'`{node.default_name}`', _links(titles)])
-    rows.append(['`localize_bag`', _links(dict.fromkeys(map(_title, CONFIGS)))])
-    return _table(['executable', 'takes'], rows)
+    return _table(['executable', 'takes'], [
+        [f'`{executable.name}`', _links(dict.fromkeys(map(_title, executable.configs)))]
+        for executable in EXECUTABLES])
 
 
 def _links(titles: Mapping[str, Any]) -> str:
@@ -85,7 +96,7 @@ def _title(config: type[Config]) -> str:
 
 
 def _section(
-    config: type[Config], nodes: Sequence[type[Node]], takers: Mapping[type[Config], Any],
+    config: type[Config], nodes: Sequence[Executable], takers: Mapping[type[Config], Any],
 ) -> str:
     """Return a config's parameters; of those that it has from another one, which are changed."""
     about = (inspect.getdoc(config) or '').partition('\n')[0]
@@ -105,7 +116,7 @@ def _section(
 
 def _variants(
     title: str, about: str, what: str, configs: Mapping[str, type[Config]],
-    nodes: Sequence[type[Node]],
+    nodes: Sequence[Executable],
 ) -> str:
     """Return the parameters of alternatives, and which of these have each."""
     having: dict[Parameter, list[str]] = {}
@@ -118,8 +129,8 @@ def _variants(
         ['parameter', 'type', 'unit', 'default', 'allowed', 'live', what, 'what'], rows))
 
 
-def _headed(title: str, about: str, nodes: Sequence[type[Node]], table: str) -> str:
-    names = ', '.join(f'`{node.default_name}`' for node in nodes)
+def _headed(title: str, about: str, nodes: Sequence[Executable], table: str) -> str:
+    names = ', '.join(f'`{node.name}`' for node in nodes)
     return f'## {title}\n\n{about} Taken by {names}.\n\n{table}' if not about.endswith(':') else \
         f'## {title}\n\nTaken by {names}. {about}\n\n{table}'
 
@@ -133,10 +144,11 @@ def _cells(item: Parameter) -> list[str]:
             item.bounds.removeprefix('one of ')]
 
 
-def _live(item: Parameter, nodes: Sequence[type[Node]]) -> str:
+def _live(item: Parameter, nodes: Sequence[Executable]) -> str:
     """Return in which nodes, if not in all that have it, it can change while they run."""
-    live = [f'`{node.default_name}`' for node in nodes if item.name in node.adjustable]
-    return 'yes' if len(live) == len(nodes) else ', '.join(live)
+    running = [node for node in nodes if node.adjustable is not None]
+    live = [f'`{node.name}`' for node in running if item.name in node.adjustable]
+    return 'yes' if live and len(live) == len(running) else ', '.join(live)
 
 
 def _escaped(text: str) -> str:
