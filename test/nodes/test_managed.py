@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import count
 import os
+from pathlib import Path
 import signal
 from typing import Any
 
@@ -25,6 +26,7 @@ from tsmcl_ros.nodes.managed import ManagedNode
 from tsmcl_ros.nodes.runtime import LATCHED, LATCHED_INPUT, main, RELIABLE, SENSOR_DATA
 from tsmcl_ros.types import Observation
 from visualization_msgs.msg import MarkerArray
+import yaml
 
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = (
     Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP,
@@ -278,3 +280,28 @@ def test_shutting_down_ends_the_process_with_exit_code_0_after_an_answer(
     assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert fleet.wait() == 0
     assert 'Traceback' not in fleet.output
+
+
+def test_names_namespaces_remaps_and_sections_of_parameter_files_are_ros_own(
+    ros: Callable[..., None], tmp_path: Path,
+) -> None:
+    path = tmp_path / 'cars.yaml'
+    path.write_text(yaml.safe_dump({
+        '/**': {'ros__parameters': {'seed': 1, 'max_wait': 0.1}},
+        '/cars/one/where': {'ros__parameters': {'seed': 2, 'initial_pose': {'x': 5.0}}},
+        '/cars/two/where': {'ros__parameters': {'seed': 3}},
+    }))
+    ros('-r', '__ns:=/cars/one', '-r', '__node:=where', '-r', 'beacons:=uwb/scan',
+        '-r', '/anchor_map:=/site/anchors', '-r', 'pose:=/fused/pose',
+        '-r', 'reinitialize_global_localization:=anew', '--params-file', str(path))
+    node = LocalizerNode()
+    assert node.get_fully_qualified_name() == '/cars/one/where'
+    assert (node.settings['seed'], node.settings['max_wait']) == (2, 0.1)
+    assert node.settings['initial_pose.x'] == 5.0
+    assert {'/cars/one/uwb/scan', '/cars/one/odom', '/site/anchors'} <= {
+        subscription.topic_name for subscription in node.subscriptions}
+    assert {'/fused/pose', '/cars/one/particle_cloud', '/diagnostics'} <= {
+        publisher.topic_name for publisher in node.publishers}
+    assert {'/cars/one/anew', '/cars/one/where/change_state'} <= {
+        service.service_name for service in node.services}
+    node.close()

@@ -169,7 +169,7 @@ def test_every_parameter_is_described_and_ranged_where_its_config_has_bounds(
                 told = node.describe_parameter(item.name)
                 assert told.description.startswith(item.doc)
                 assert item.allowed in told.additional_constraints
-                assert node.has_parameter(item.name)
+                assert node.get_parameter(item.name).get_parameter_value().type == told.type != 0
                 bounds = [*told.floating_point_range, *told.integer_range]
                 low = item.low if item.low is not None else item.above
                 assert len(bounds) == (low is not None or item.high is not None)

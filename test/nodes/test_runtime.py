@@ -7,6 +7,9 @@ import signal
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters
 import rclpy.node
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, param, Parameter, parameters
@@ -41,6 +44,20 @@ def test_serialized_messages_arrive_as_they_were_sent(probe: Any) -> None:
     talk.publish(data)
     probe.expect(lambda: bool(received), 'the message')
     assert received == [data]
+
+
+def test_a_request_that_rclpy_would_die_of_is_reported_and_answered(
+    begin: Callable[..., Any], capfd: pytest.CaptureFixture[str],
+) -> None:
+    scene = begin(Watch)
+    client = scene.probe.create_client(SetParameters, 'watch/set_parameters')
+    scene.until(client.service_is_ready, 'the service')
+    value = ParameterValue(type=99)
+    answer = client.call_async(SetParameters.Request(
+        parameters=[ParameterMessage(name='use_sim_time', value=value)]))
+    scene.until(answer.done, 'an answer')
+    assert not answer.result().results
+    assert '/veh_0/watch/set_parameters: request rejected: 99 is not' in capfd.readouterr().err
 
 
 def test_a_rejected_message_is_reported_and_the_next_one_is_heeded(probe: Any) -> None:

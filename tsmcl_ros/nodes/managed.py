@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import traceback
 from typing import Any, ClassVar
 
-from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.service import Service
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.types import TsmclError
@@ -53,7 +51,8 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def __init__(self) -> None:
         runtime.Node.__init__(self)
         LifecycleNodeMixin.__init__(self)
-        self._refuse_by_answer(self._service_change_state)
+        # rclpy raises where a state does not know a transition.
+        self.outlive(self._service_change_state)
         self._lasting = set(self._entities())
         self._obstacle: Exception | None = None
         self._starts = bool(self.settings['autostart'])
@@ -93,8 +92,6 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def run(self) -> None:
         """Handle messages until the node is shut down."""
         self.spin(lambda: self.state == 'finalized')
-        # The answer to who asked for it is still to be delivered.
-        self.spin(timeout=runtime.SETTLING)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let `set_up` create things; take them back if it fails."""
@@ -107,11 +104,25 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publications pass."""
         result = self._attempt(self.begin)
-        return super().on_activate(state) if result == _SUCCESS else result
+        if result != _SUCCESS:
+            return result
+        self.get_logger().info('active')
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Hold publications back."""
+        self.get_logger().info('inactive')
+        return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Destroy what `set_up` has created."""
         self._tear_down()
+        self.get_logger().info('unconfigured')
+        return _SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let `run` end."""
+        self.get_logger().info('shut down')
         return _SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -130,21 +141,6 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
                 self.get_logger().error(str(error) if known else traceback.format_exc())
             return _FAILURE if known else _ERROR
         return _SUCCESS
-
-    @staticmethod
-    def _refuse_by_answer(service: Service) -> None:
-        """Have a transition that the state does not know fail, of which rclpy 7.1.6 dies."""
-        change = service.callback
-
-        def answer(request: ChangeState.Request, response: ChangeState.Response
-                   ) -> ChangeState.Response:
-            try:
-                return change(request, response)
-            except RuntimeError:  # rclpy's own type is private; rcl has logged the reason
-                response.success = False
-                return response
-
-        service.callback = answer
 
     def _entities(self) -> Iterator[Any]:
         yield from self.publishers

@@ -69,11 +69,12 @@ def declare(
     }
     _check(configs, values)
     for name, item in known.items():
-        node.declare_parameter(
-            name, _to_ros(values[name]),
-            _descriptor(item, name in adjustable, read_only=fixed is None),
-            ignore_override=True,
-        )
+        descriptor = _descriptor(item, name in adjustable, read_only=fixed is None)
+        if values[name] == ():
+            _declare_empty(node, name, descriptor)
+        else:
+            value = list(values[name]) if item.type is tuple else values[name]
+            node.declare_parameter(name, value, descriptor, ignore_override=True)
 
     reason = fixed or str
 
@@ -132,11 +133,14 @@ def _convert(item: Parameter, value: Any) -> Any:
     return item.convert(value)
 
 
-def _to_ros(value: Any) -> Any:
-    # An empty list would be taken for one of bytes.
-    return RosParameter.Type.STRING_ARRAY if value == () else (
-        list(value) if isinstance(value, tuple) else value
-    )
+def _declare_empty(node: Node, name: str, descriptor: ParameterDescriptor) -> None:
+    """Declare an empty list of texts, which rclpy would take for one of bytes."""
+    # It has to have a value: who asks for all parameters gets none if one has not.
+    kind = RosParameter.Type.STRING_ARRAY
+    node.declare_parameter(name, kind, ignore_override=True)
+    node.set_parameters([RosParameter(name, kind, [])])
+    descriptor.type = kind.value
+    node.set_descriptor(name, descriptor)
 
 
 def _check(configs: Sequence[type[Config]], values: Mapping[str, Any]) -> None:

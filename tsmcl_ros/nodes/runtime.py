@@ -32,6 +32,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 import rclpy.node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
@@ -109,6 +110,8 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
             self, self._parameter_overrides, self.configs, self.adjustable, self.fixed,
             self.adjust,
         )
+        for service in self.services:
+            self.outlive(service)
         self._events = EventsExecutor(context=self.context)
         self._events.add_node(self)
         self._rejections = Rejections(self.get_logger().error)
@@ -149,6 +152,19 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
     def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
         """Return a publisher, which takes serialized messages as they are."""
         return self.create_publisher(message_class(kind), topic, qos)
+
+    def outlive(self, service: Service) -> None:
+        """Answer by what says no, and log why, where a service of rclpy's own would raise."""
+        serve = service.callback
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return serve(request, response)
+            except Exception as error:
+                self.get_logger().error(f'{service.service_name}: request rejected: {error}')
+                return response
+
+        service.callback = answer
 
     def every(self, period: float, act: Callable[[float], None]) -> None:
         """
