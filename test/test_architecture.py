@@ -62,10 +62,11 @@ OTHERS = {
     'inputs': {'numpy'},
     'endpoint': {'numpy'},
     'diagnosis': {'numpy'},
-    'evaluation': {'numpy', 'scipy', 'tqdm', 'yaml'},
+    'evaluation': {'numpy', 'scipy', 'yaml'},
     'evaluation.plots': {'numpy', 'matplotlib'},
-    'nodes': {'numpy', 'tqdm', 'yaml', *ROS},
-    'scripts': {'numpy', 'tqdm', 'yaml'},
+    'nodes': {'numpy', 'yaml', *ROS},
+    'scripts': {'numpy'},
+    'scripts.cli': {'tqdm'},
 }
 MODULES = {
     '.'.join(path.relative_to(PACKAGE).with_suffix('').parts): path

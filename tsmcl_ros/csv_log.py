@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from tsmcl_ros.gathering import gather, period_number
 from tsmcl_ros.messages import MAX_COORDINATE
-from tsmcl_ros.types import Array, LogError, Observation, Trajectory
+from tsmcl_ros.types import Array, LogError, Observation, Progress, Trajectory, unshown
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +91,20 @@ class CsvLog:
             yield replace(gather(heard.columns(rows)), stamp=float(self.stamp[rows[-1]]))
 
 
-def read_log(path: str | Path) -> CsvLog:
+def read_log(path: str | Path, progress: Progress = unshown) -> CsvLog:
     """
     Read and check a folder with anchors.csv, beacons.csv, and odometry.csv and truth.csv if any.
 
     Beacons are put into order of time: radios with several receivers, or with buffers, log them
     late. Rows with an rssi of 0 dBm or more, which receivers write where they measured none, are
     left out. Both are noted.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder.
+    progress : Progress
+        Shows the reading of each file.
 
     Raises
     ------
@@ -110,7 +117,7 @@ def read_log(path: str | Path) -> CsvLog:
         reason = 'is no folder' if folder.exists() else 'there is no such folder'
         raise LogError(f'{folder}: {reason}, a CSV log is one with anchors.csv and beacons.csv')
     anchors = read_anchors(folder / 'anchors.csv')
-    beacons = _read_table(folder / 'beacons.csv', _BEACONS)
+    beacons = _read_table(folder / 'beacons.csv', _BEACONS, progress)
     notes = []
     number, sender = np.array(beacons.lines), beacons['anchor']
     strange = ~np.isin(sender, anchors.sender[0])
@@ -136,8 +143,8 @@ def read_log(path: str | Path) -> CsvLog:
     if not order.size:
         raise LogError(f'{beacons.path}: holds no beacons')
     stamp = beacons['t'][order]
-    odometry = _read_trajectory(folder / 'odometry.csv', _ODOMETRY)
-    truth = _read_trajectory(folder / 'truth.csv', _TRUTH)
+    odometry = _read_trajectory(folder / 'odometry.csv', _ODOMETRY, progress)
+    truth = _read_trajectory(folder / 'truth.csv', _TRUTH, progress)
     starts = [stamp[0], *(part.stamp[0] for part in (odometry, truth) if part is not None)]
     return CsvLog(
         anchors=replace(anchors, stamp=float(min(starts))),
@@ -219,10 +226,13 @@ class _Table:
         return self.columns[name]
 
 
-def _read_table(path: Path, columns: tuple[_Column, ...]) -> _Table:
+def _read_table(
+    path: Path, columns: tuple[_Column, ...], progress: Progress = unshown,
+) -> _Table:
     lines: list[int] = []
     values: list[list[float]] = []
     try:
+        total = path.read_bytes().count(b'\n')
         with path.open(encoding='utf-8-sig', newline='') as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
@@ -232,7 +242,7 @@ def _read_table(path: Path, columns: tuple[_Column, ...]) -> _Table:
                     f'{",".join(column.name for column in columns)}'
                 )
             places = [(header.index(column.name), column) for column in columns]
-            for cells in reader:
+            for cells in progress(reader, total, 'row', str(path)):
                 if not cells:
                     continue
                 if len(cells) != len(header):
@@ -288,10 +298,12 @@ def read_anchors(path: str | Path) -> Observation:
     return anchors
 
 
-def _read_trajectory(path: Path, columns: tuple[_Column, ...]) -> Trajectory | None:
+def _read_trajectory(
+    path: Path, columns: tuple[_Column, ...], progress: Progress,
+) -> Trajectory | None:
     if not path.exists():
         return None
-    table = _read_table(path, columns)
+    table = _read_table(path, columns, progress)
     back = np.flatnonzero(np.diff(table['t']) < 0)
     if back.size:
         row = int(back[0]) + 1

@@ -7,14 +7,15 @@ one local Cartesian map frame, stamps are seconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[Any]
+T = TypeVar('T')
 
 ANCHOR, VEHICLE = 0, 1
 PADDED = -1
@@ -408,6 +409,30 @@ class Trajectory:
     position: Array
     yaw: Array
     covariance: Array | None = None
+
+
+class Progress(Protocol):
+    """Hands through what a loop goes over, and shows how far it is: libraries never print."""
+
+    def __call__(self, items: Iterable[T], total: int | None, unit: str, name: str = ''
+                 ) -> Iterable[T]:
+        """
+        Return the items.
+
+        Parameters
+        ----------
+        items
+            What the loop goes over.
+        total
+            How many there are, None if nobody knows.
+        unit, name
+            What an item is, and what is done with them.
+        """
+
+
+def unshown(items: Iterable[T], total: int | None, unit: str, name: str = '') -> Iterable[T]:
+    """Return the items and show nothing; see `Progress`."""
+    return items
 
 
 class Estimator(Protocol):

@@ -8,9 +8,10 @@ cases are compared on the same worlds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
 import math
 import multiprocessing
@@ -21,11 +22,12 @@ import time
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from tqdm import tqdm
-from tsmcl_ros.types import Array, TsmclError
+from tsmcl_ros.types import Array, Progress, TsmclError, unshown
 
 # What tells a case from the others, JSON scalars by name; they become columns of the CSV file.
 Case = Mapping[str, Any]
+# Numbers of a case and of a run.
+Task = tuple[int, int]
 
 
 class Outcome(NamedTuple):
@@ -142,7 +144,7 @@ class Experiment(Protocol):
 
 
 def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
-                   progress: bool = False) -> list[Result]:
+                   progress: Progress = unshown) -> list[Result]:
     """
     Work all cases of an experiment.
 
@@ -156,8 +158,8 @@ def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
         Of each case.
     workers : int
         Processes; with 1 all is done in this one.
-    progress : bool
-        Show a progress bar where standard error is a terminal.
+    progress : Progress
+        Shows how many runs are done.
 
     Returns
     -------
@@ -171,20 +173,10 @@ def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
     """
     cases = experiment.cases()
     tasks = [(case, run) for case in range(len(cases)) for run in range(runs)]
-    outcomes: dict[tuple[int, int], Outcome] = {}
-    with tqdm(total=len(tasks), unit='run', disable=None if progress else True,
-              leave=False) as bar:
-        def keep(task: tuple[int, int], outcome: Outcome) -> None:
-            outcomes[task] = outcome
-            bar.update()
-
-        if workers == 1:
-            for case, run in reversed(tasks):
-                keep((case, run), _work(experiment, cases[case], seed, run))
-        else:
-            _work_in_parallel(
-                {task: (experiment, cases[task[0]], seed, task[1]) for task in reversed(tasks)},
-                min(workers, len(tasks)), keep)
+    calls = {task: (experiment, cases[task[0]], seed, task[1]) for task in reversed(tasks)}
+    # Closed however the loop ends, so that no process outlives it.
+    with closing(_work_all(calls, min(workers, len(tasks)))) as outcomes_as_they_come:
+        outcomes = dict(progress(outcomes_as_they_come, len(tasks), 'run'))
     return [Result(cases[case], run, outcomes[case, run]) for case, run in tasks]
 
 
@@ -246,8 +238,13 @@ def _work(experiment: Experiment, case: Case, seed: int, run: int) -> Outcome:
     return experiment.work(case, np.random.SeedSequence(seed, spawn_key=(run,)))
 
 
-def _work_in_parallel(tasks: Mapping[Any, tuple[Experiment, Case, int, int]], workers: int,
-                      keep: Callable[[Any, Outcome], None]) -> None:
+def _work_all(tasks: Mapping[Task, tuple[Experiment, Case, int, int]], workers: int
+              ) -> Generator[tuple[Task, Outcome], None, None]:
+    """Yield the outcome of each task as it comes."""
+    if workers == 1:
+        for key, task in tasks.items():
+            yield key, _work(*task)
+        return
     others = set(multiprocessing.active_children())
     # A spawned process shares nothing with this one that could make a difference.
     pool = ProcessPoolExecutor(
@@ -256,7 +253,7 @@ def _work_in_parallel(tasks: Mapping[Any, tuple[Experiment, Case, int, int]], wo
     try:
         started = {pool.submit(_work, *task): key for key, task in tasks.items()}
         for future in as_completed(started):
-            keep(started[future], future.result())
+            yield started[future], future.result()
     except BrokenProcessPool:
         raise TsmclError('a process was killed, perhaps for lack of memory: try fewer workers, '
                          f'now {workers}') from None

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from tsmcl_ros.csv_log import CsvLog
-from tsmcl_ros.types import Array, LogError
+from tsmcl_ros.types import Array, LogError, Progress, unshown
 
 MIN_BEACONS = 20
 
@@ -114,9 +114,17 @@ def fit(distance: Array, rssi: Array) -> Fit:
     return Fit(float(reference), float(exponent), max(sigma, _RESOLUTION), count)
 
 
-def fit_anchors(samples: Samples) -> tuple[Fit, dict[int, Fit], dict[int, str]]:
+def fit_anchors(samples: Samples, progress: Progress = unshown
+                ) -> tuple[Fit, dict[int, Fit], dict[int, str]]:
     """
     Return the path loss of all anchors together, and those of single ones.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of all anchors.
+    progress : Progress
+        Shows the fitting.
 
     Returns
     -------
@@ -134,7 +142,8 @@ def fit_anchors(samples: Samples) -> tuple[Fit, dict[int, Fit], dict[int, str]]:
     """
     pooled = fit(samples.distance, samples.rssi)
     single, left = {}, {}
-    for identity in np.unique(samples.sender).tolist():
+    senders = np.unique(samples.sender).tolist()
+    for identity in progress(senders, len(senders), 'anchor', 'fitting'):
         rows = samples.sender == identity
         try:
             single[identity] = fit(samples.distance[rows], samples.rssi[rows])

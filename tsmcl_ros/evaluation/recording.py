@@ -21,7 +21,7 @@ from tsmcl_ros.messages import (
     POINT_CLOUD,
     POSE,
 )
-from tsmcl_ros.types import Array, BagError, MessageError, Trajectory
+from tsmcl_ros.types import Array, BagError, MessageError, Progress, Trajectory, unshown
 
 OUTAGE = 5.0
 
@@ -75,7 +75,7 @@ class Run:
 
 
 def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
-              max_age: float = MAX_AGE) -> list[Run]:
+              max_age: float = MAX_AGE, progress: Progress = unshown) -> list[Run]:
     """
     Compare all poses of a bag with their ground truth.
 
@@ -92,6 +92,8 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
         By default the folder's name; the method's name follows where there are several.
     skip, max_age : float
         See `compare` [s].
+    progress : Progress
+        Shows the reading.
 
     Returns
     -------
@@ -106,7 +108,7 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
     MessageError
         If a pose or a ground truth is malformed; the text names bag and topic.
     """
-    about, topics, messages = _read(path)
+    about, topics, messages = _read(path, progress)
     truths = {_namespace(topic): topic for topic in _named(topics, 'ground_truth', ODOMETRY)}
     poses = {_namespace(topic): topic for topic in _named(topics, 'pose', POSE)}
     _require(path, topics, poses, 'pose', POSE)
@@ -161,7 +163,7 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
     return runs
 
 
-def _read(path: str | Path
+def _read(path: str | Path, progress: Progress
           ) -> tuple[dict[str, str], dict[str, str], dict[str, list[bytes]]]:
     """Return what the bag is about, its topics with their types, and those of interest."""
     wanted = {'pose': POSE, 'ground_truth': ODOMETRY, 'beacons': POINT_CLOUD,
@@ -170,7 +172,8 @@ def _read(path: str | Path
     with Reader(path) as reader:
         topics = dict(reader.topics)
         chosen = [topic for name, kind in wanted.items() for topic in _named(topics, name, kind)]
-        for message in reader.messages(chosen):
+        total = sum(reader.counts[topic] for topic in chosen)
+        for message in progress(reader.messages(chosen), total, 'msg', str(path)):
             messages[message.topic].append(message.data)
         return reader.about, topics, messages
 

@@ -19,7 +19,7 @@ from tsmcl_ros.evaluation.page import (
     parameter_table,
 )
 from tsmcl_ros.evaluation.recording import OUTAGE, Run
-from tsmcl_ros.types import Array
+from tsmcl_ros.types import Array, Progress, unshown
 
 # The table of more vehicles than this is folded away on the screen.
 UNFOLDED = 12
@@ -30,7 +30,8 @@ SUSPICION = 0.05
 
 
 def write_report(path: str | Path, runs: Sequence[Run], command: str,
-                 parameters: Mapping[str, Any], mean: Metrics | None = None) -> None:
+                 parameters: Mapping[str, Any], mean: Metrics | None = None,
+                 progress: Progress = unshown) -> None:
     """
     Write the report of one or several runs.
 
@@ -46,21 +47,25 @@ def write_report(path: str | Path, runs: Sequence[Run], command: str,
         What else a reader needs to make it again; any names and values.
     mean : Metrics, optional
         Mean over the runs, for the table's last row.
+    progress : Progress
+        Shows the drawing.
     """
-    Path(path).write_text(render(runs, command, parameters, mean), encoding='utf-8')
+    text = render(runs, command, parameters, mean, progress)
+    Path(path).write_text(text, encoding='utf-8')
 
 
 def render(runs: Sequence[Run], command: str, parameters: Mapping[str, Any],
-           mean: Metrics | None = None) -> str:
+           mean: Metrics | None = None, progress: Progress = unshown) -> str:
     """Return the text of the report; the parameters are those of `write_report`."""
     title = 'Localization against ground truth'
     names = ', '.join(run.label for run in runs)
+    sections = progress(enumerate(runs), len(runs), 'run', 'drawing')
     return page(f'{names}: {title}', '\n'.join([
         f'<h1>{title}</h1>',
         metrics_table('run', {run.label: run.overall for run in runs}, mean),
         _explanation(runs),
         _comparison(runs) if len(runs) > 1 else '',
-        *(_section(run, f'run{index}', len(runs) == 1) for index, run in enumerate(runs)),
+        *(_section(run, f'run{index}', len(runs) == 1) for index, run in sections),
         '<h2>How this report was made</h2>',
         f'<pre>{escape(command)}</pre>',
         parameter_table(parameters),

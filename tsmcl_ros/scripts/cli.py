@@ -1,16 +1,19 @@
-"""What all scripts share: how they end, and what their tables look like."""
+"""What all scripts share: how they end, show their progress, and what their tables look like."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import shlex
 import signal
 import sys
 import threading
 from types import FrameType
+from typing import Any
 
-from tsmcl_ros.types import TsmclError
+from tqdm import tqdm
+from tsmcl_ros.types import Progress, T, TsmclError
 
 
 class Interrupted(KeyboardInterrupt):
@@ -56,6 +59,35 @@ def run_script(
 def command_line(script: str, arguments: Sequence[str] | None) -> str:
     """Return the command line of a script that was called so, None as in `run_script`."""
     return shlex.join([script, *(sys.argv[1:] if arguments is None else arguments)])
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """Give the parser `--quiet`."""
+    parser.add_argument('--quiet', action='store_true', help='show no progress')
+
+
+def progress_bar(quiet: bool, **options: Any) -> tqdm[Any]:
+    """
+    Return a bar on standard error, shown if that is a terminal, and nobody wants it quiet.
+
+    Parameters
+    ----------
+    quiet : bool
+        Show it in no case.
+    **options
+        As tqdm takes them.
+    """
+    return tqdm(disable=True if quiet else None, **{'leave': False, **options})
+
+
+def progress(quiet: bool, task: str = '') -> Progress:
+    """Return what shows a loop's progress by a `progress_bar`, named by its task by default."""
+    def show(items: Iterable[T], total: int | None, unit: str, name: str = '') -> Iterable[T]:
+        bar: Iterable[T] = progress_bar(
+            quiet, iterable=items, total=total, unit=unit, desc=name or task or None)
+        return bar
+
+    return show
 
 
 def align(rows: Sequence[Sequence[str]], left: int = 1) -> str:

@@ -23,12 +23,11 @@ import sys
 import time
 from typing import Any
 
-from tqdm import tqdm
 from tsmcl_ros.bag import STORAGES
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.watch import Watch
-from tsmcl_ros.scripts.cli import command_line, run_script
+from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, progress_bar, run_script
 from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
 from tsmcl_ros.scripts.scenario import RANGE_FREE, read_scenario, Scenario
 from tsmcl_ros.types import ConfigError, TsmclError
@@ -82,7 +81,13 @@ def _simulate(
     processes.start_node(
         'fleet', {**scenario.fleet, **time_of_clock, **fleet, 'method': options.method})
     try:
-        with runtime.session(), closing(Watch(options.vehicles)) as watch:
+        with (
+            runtime.session(), closing(Watch(options.vehicles)) as watch,
+            progress_bar(
+                options.quiet, total=options.duration, leave=True, desc='starting',
+                bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
+            ) as bar,
+        ):
             # Last, once all that anchors and fleet say gets recorded.
             _await(processes, watch, watch.is_recorded)
             processes.start_node('simulator', {
@@ -91,7 +96,7 @@ def _simulate(
                 'wait_for': 2,  # the fleet and the recorder
             })
             _await(processes, watch, lambda: not math.isnan(watch.time))
-            _show(watch, processes, options)
+            _show(bar, watch, processes, options.vehicles)
             duration = watch.time
     except runtime.Stopped:
         raise KeyboardInterrupt from None
@@ -111,17 +116,13 @@ def _await(processes: Processes, watch: Watch, condition: Callable[[], bool]) ->
                 f'is in {processes.folder}')
 
 
-def _show(watch: Watch, processes: Processes, options: argparse.Namespace) -> None:
+def _show(bar: Any, watch: Watch, processes: Processes, vehicles: int) -> None:
     """Show the progress until the simulation is over and the last estimate has come."""
-    with tqdm(
-        total=options.duration, disable=True if options.quiet else None,
-        bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
-    ) as bar:
-        while processes.is_running('simulator'):
-            watch.spin(timeout=0.2)
-            processes.check()
-            bar.set_description(f'{watch.localized}/{options.vehicles} vehicles localized', False)
-            bar.update(watch.time - bar.n)
+    while processes.is_running('simulator'):
+        watch.spin(timeout=0.2)
+        processes.check()
+        bar.set_description(f'{watch.localized}/{vehicles} vehicles localized', False)
+        bar.update(watch.time - bar.n)
     watch.spin(lambda: watch.estimated >= watch.time, _STOP_PATIENCE)
 
 
@@ -143,8 +144,13 @@ def _compare(
             str(bag), '--out', str(runs[label]), '--storage', options.storage, '--quiet',
             *(f'--{name.replace("_", "-")}={_as_text(value)}' for name, value in given.items()),
         ])
-    for path in runs.values():
-        processes.wait(path.name)
+    with progress_bar(options.quiet, total=len(runs), unit='run', desc='comparing') as bar:
+        while running := sum(processes.is_running(path.name) for path in runs.values()):
+            bar.update(len(runs) - running - bar.n)
+            bar.refresh()  # its clock goes on
+            processes.check()
+            time.sleep(0.1)
+    processes.check()
     return runs
 
 
@@ -154,14 +160,15 @@ def _report(
 ) -> None:
     """Print the table and write the report."""
     skip = duration / 2 if options.skip is None else options.skip
-    found = read_all(list(runs.values()), list(runs), skip)
+    show = progress(options.quiet)
+    found = read_all(list(runs.values()), list(runs), skip, show=show)
     print(format_table(found))
     written = write_evaluation(out, found, command_line('demo', arguments), {
         'vehicles': options.vehicles,
         'simulated time': f'{duration:g} s, the first {skip:g} s of it left out',
         'seed': options.seed,
         'recordings': ', '.join(map(str, runs.values())),
-    })
+    }, show=show)
     print(f'{", ".join(written)} are in {out}; the first {skip:g} s are left out')
 
 
@@ -210,13 +217,6 @@ class Processes:
                 said = next(filter(None, reversed(lines)), f'exit code {process.returncode}')
                 raise TsmclError(
                     f'{said.removeprefix("error: ")} (from {self._log(name)})')
-
-    def wait(self, name: str) -> None:
-        """Wait until a process has ended; raise TsmclError if one fails."""
-        while self.is_running(name):
-            time.sleep(0.05)
-            self.check()
-        self.check()
 
     def stop(self, name: str) -> None:
         """End a process: ask, and if it does not heed, insist."""
@@ -323,7 +323,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--skip', type=float, metavar='S',
                         help='leave out the first seconds, in which the vehicles are still lost; '
                              'half of the duration if not given')
-    parser.add_argument('--quiet', action='store_true', help='show no progress')
+    add_quiet(parser)
     return parser
 
 

@@ -21,8 +21,8 @@ from tsmcl_ros.evaluation.metrics import (
     write_tum,
 )
 from tsmcl_ros.evaluation.recording import read_runs, Run
-from tsmcl_ros.scripts.cli import align, command_line, run_script
-from tsmcl_ros.types import BagError
+from tsmcl_ros.scripts.cli import add_quiet, align, command_line, progress, run_script
+from tsmcl_ros.types import BagError, Progress, unshown
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,7 +41,7 @@ def summarize(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: floa
 
 
 def read_all(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: float = 0.0,
-             max_age: float = MAX_AGE) -> list[Run]:
+             max_age: float = MAX_AGE, show: Progress = unshown) -> list[Run]:
     """
     Compare the poses of several bags with their ground truth.
 
@@ -53,6 +53,8 @@ def read_all(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: float
         A name for each; by default that of its folder, or its path where two folders share one.
     skip, max_age : float
         See `compare` [s].
+    show : Progress
+        Shows the reading.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def read_all(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: float
     if len(set(names)) < len(names) and not labels:
         names = [str(bag) for bag in bags]
     runs = [run for bag, name in zip(bags, names, strict=True)
-            for run in read_runs(bag, name, skip, max_age)]
+            for run in read_runs(bag, name, skip, max_age, show)]
     taken: dict[str, str] = {}
     for run in runs:
         if _folder(run) in taken:
@@ -89,7 +91,8 @@ def format_table(runs: Iterable[Run], mean: Metrics | None = None) -> str:
 
 
 def write_evaluation(folder: str | Path, runs: Sequence[Run], command: str,
-                     parameters: Mapping[str, Any], mean: Metrics | None = None) -> list[str]:
+                     parameters: Mapping[str, Any], mean: Metrics | None = None,
+                     show: Progress = unshown) -> list[str]:
     """
     Write metrics.json, the trajectories and the report.
 
@@ -103,6 +106,8 @@ def write_evaluation(folder: str | Path, runs: Sequence[Run], command: str,
         Made if missing; files of the same names are overwritten.
     runs, command, parameters, mean
         See `write_report`.
+    show : Progress
+        Shows the drawing.
 
     Returns
     -------
@@ -128,7 +133,7 @@ def write_evaluation(folder: str | Path, runs: Sequence[Run], command: str,
         if (error.name or '').partition('.')[0] != 'matplotlib':
             raise
         return written
-    write_report(folder / 'report.html', runs, command, parameters, mean)
+    write_report(folder / 'report.html', runs, command, parameters, mean, show)
     return [*written, 'report.html']
 
 
@@ -138,7 +143,8 @@ def _evaluate(arguments: Sequence[str] | None) -> None:
     if options.label and len(options.label) != len(options.bags):
         parser.error(f'--label: {len(options.label)} labels are given for {len(options.bags)} '
                      'bags, must be one a bag')
-    runs = read_all(options.bags, options.label, options.skip, options.max_age)
+    show = progress(options.quiet)
+    runs = read_all(options.bags, options.label, options.skip, options.max_age, show)
     mean = mean_of([run.overall for run in runs]) if options.mean else None
     for run in runs:
         for note in run.notes:
@@ -151,7 +157,7 @@ def _evaluate(arguments: Sequence[str] | None) -> None:
         'an estimate is available up to an age of (--max-age)': f'{options.max_age:g} s',
     }
     command = command_line('evaluate', arguments)
-    written = write_evaluation(folder, runs, command, parameters, mean)
+    written = write_evaluation(folder, runs, command, parameters, mean, show)
     if 'report.html' not in written:
         print('note: no report.html, as matplotlib is missing: pip install tsmcl_ros[plot]',
               file=sys.stderr)
@@ -204,6 +210,7 @@ def _parser() -> argparse.ArgumentParser:
                              f'(default: {MAX_AGE:g})')
     parser.add_argument('--mean', action='store_true',
                         help='end the table with the mean over the bags')
+    add_quiet(parser)
     return parser
 
 

@@ -19,7 +19,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
 )
 from tsmcl_ros.evaluation.reproduction import write_reproduction
 from tsmcl_ros.evaluation.results import prepare_folder, read_results, write_results
-from tsmcl_ros.scripts.cli import align, run_script
+from tsmcl_ros.scripts.cli import add_quiet, align, progress, run_script
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,7 +52,7 @@ def _experiment(arguments: Sequence[str] | None) -> None:
 
 def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None:
     results, record = (read_results(options.out, name, experiment) if options.again
-                       else _measure(experiment, options))
+                       else _measure(name, experiment, options))
     report = experiment.judge(results)
     written = write_results(options.out, name, experiment, results, report, record)
     print(f'{name}: {experiment.title}\n\n{format_report(report)}\n')
@@ -65,12 +65,13 @@ def _run(name: str, experiment: Experiment, options: argparse.Namespace) -> None
           f'after {record["duration_s"]:.0f} s')
 
 
-def _measure(experiment: Experiment, options: argparse.Namespace
+def _measure(name: str, experiment: Experiment, options: argparse.Namespace
              ) -> tuple[list[Result], dict[str, Any]]:
     """Run an experiment; return its results, and what is to be told of the run."""
     runs = options.runs or experiment.runs
     begin = time.monotonic()
-    results = run_experiment(experiment, options.seed, runs, options.workers, not options.quiet)
+    results = run_experiment(
+        experiment, options.seed, runs, options.workers, progress(options.quiet, name))
     return results, {
         'quick': options.quick, 'seed': options.seed, 'runs': runs, 'workers': options.workers,
         'duration_s': round(time.monotonic() - begin, 1)}
@@ -110,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--report', type=Path, metavar='FILE',
                         help='the page that all and report write (default: reproduction.md in '
                              'the folder)')
-    parser.add_argument('--quiet', action='store_true', help='show no progress')
+    add_quiet(parser)
     return parser
 
 

@@ -10,8 +10,8 @@ import sys
 
 from tsmcl_ros.csv_log import read_log
 from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join, Samples
-from tsmcl_ros.scripts.cli import command_line, run_script
-from tsmcl_ros.types import LogError
+from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
+from tsmcl_ros.types import LogError, Progress
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,8 +21,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _fit(arguments: Sequence[str] | None) -> None:
     options = _parser().parse_args(arguments)
+    show = progress(options.quiet)
     pooled, single, left = fit_anchors(
-        join(_read(path, options.min_distance) for path in options.logs))
+        join([_read(path, options.min_distance, show) for path in options.logs]), show)
     for identity, reason in left.items():
         print(f'note: anchor {identity} has the path loss of all together: {reason}',
               file=sys.stderr)
@@ -37,9 +38,9 @@ def _fit(arguments: Sequence[str] | None) -> None:
     print(f'{options.out}: the path loss of all anchors, and {len(single)} of single ones')
 
 
-def _read(path: str, min_distance: float) -> Samples:
+def _read(path: str, min_distance: float, show: Progress) -> Samples:
     """Read what one log has to fit to."""
-    log = read_log(path)
+    log = read_log(path, show)
     for note in log.notes:
         print(f'note: {note}', file=sys.stderr)
     try:
@@ -63,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
                         help='shorter distances count as this one [m]')
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the parameters to this file, which must not exist, instead')
+    add_quiet(parser)
     return parser
 
 

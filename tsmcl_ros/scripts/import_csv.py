@@ -12,8 +12,8 @@ import sys
 from tsmcl_ros import messages
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.csv_log import CsvLog, read_log
-from tsmcl_ros.scripts.cli import command_line, run_script
-from tsmcl_ros.types import Observation, Odometry, Trajectory
+from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
+from tsmcl_ros.types import Observation, Odometry, Progress, Trajectory
 
 Record = tuple[float, str, bytes]
 MAP, ODOM, BASE_LINK = 'map', 'odom', 'base_link'
@@ -26,15 +26,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _import_log(arguments: Sequence[str] | None) -> None:
     options = _parser().parse_args(arguments)
-    log = read_log(options.log)
+    show = progress(options.quiet)
+    log = read_log(options.log, show)
     if options.threshold is not None:
         log = log.range_free(options.threshold)
     for note in log.notes:
         print(f'note: {note}', file=sys.stderr)
-    epochs = list(log.epochs(options.epoch))
+    epochs = list(show(log.epochs(options.epoch), None, 'epoch', 'gathering'))
     about = {'command': command_line('import_csv', arguments)}
     with Writer(options.bag, options.storage, about) as bag:
-        _write(bag, log, epochs, f'/veh_{options.id}')
+        _write(bag, log, epochs, f'/veh_{options.id}', show)
     counts = [
         f'{log.anchors.sender.size} anchors',
         f'{log.stamp.size} beacons in {len(epochs)} epochs',
@@ -47,11 +48,13 @@ def _import_log(arguments: Sequence[str] | None) -> None:
     print(f'{options.bag}: {", ".join(counts)}')
 
 
-def _write(bag: Writer, log: CsvLog, epochs: list[Observation], vehicle: str) -> None:
+def _write(
+    bag: Writer, log: CsvLog, epochs: list[Observation], vehicle: str, show: Progress,
+) -> None:
     """Write all messages in order of time, the anchor map first."""
     bag.topic('/anchor_map', messages.POINT_CLOUD, latched=True)
     bag.write('/anchor_map', log.anchors.stamp, messages.encode_beacons(log.anchors, MAP)[0])
-    streams = []
+    streams, total = [], len(epochs)
     for name, trajectory, frame_id in (
         (f'{vehicle}/odom', log.odometry, ODOM),
         (f'{vehicle}/ground_truth', log.truth, MAP),
@@ -59,9 +62,11 @@ def _write(bag: Writer, log: CsvLog, epochs: list[Observation], vehicle: str) ->
         if trajectory is not None:
             bag.topic(name, messages.ODOMETRY)
             streams.append(_poses(name, trajectory, frame_id))
+            total += len(trajectory.stamp)
     bag.topic(f'{vehicle}/beacons', messages.POINT_CLOUD)
     streams.append(_scans(f'{vehicle}/beacons', epochs))
-    for stamp, name, data in heapq.merge(*streams, key=itemgetter(0)):
+    merged = heapq.merge(*streams, key=itemgetter(0))
+    for stamp, name, data in show(merged, total, 'msg', 'writing'):
         bag.write(name, stamp, data)
 
 
@@ -96,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
                         help='storage of the bag')
     parser.add_argument('--id', type=_index, default=0, metavar='N',
                         help='number of the vehicle, whose topics are /veh_N/...')
+    add_quiet(parser)
     return parser
 
 

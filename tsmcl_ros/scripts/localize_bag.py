@@ -12,7 +12,6 @@ import re
 import sys
 from typing import Any
 
-from tqdm import tqdm
 from tsmcl_ros.bag import Message, Reader, STORAGES, Writer
 from tsmcl_ros.config import (
     add_arguments,
@@ -25,10 +24,10 @@ from tsmcl_ros.config import (
 from tsmcl_ros.endpoint import Endpoint, OutputConfig
 from tsmcl_ros.inputs import absolute, InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
-from tsmcl_ros.scripts.cli import command_line, run_script
+from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
 from tsmcl_ros.scripts.outlet import Outlet
 from tsmcl_ros.scripts.wiring import copies, Remapping, vehicles, wire
-from tsmcl_ros.types import MessageError
+from tsmcl_ros.types import MessageError, Progress, unshown
 
 # What a parameter file for the node may hold that has no meaning here.
 _NODES_OWN = {'use_sim_time', 'autostart', *(item.name for item in parameters(OutputConfig))}
@@ -49,7 +48,7 @@ def _localize(arguments: Sequence[str] | None) -> None:
     frame_id = options.global_frame_id or build(OutputConfig, file).global_frame_id
     outcome = localize_bag(
         options.bag, options.out, settings, options.storage, frame_id,
-        remap=options.remap, namespaces=options.namespace, progress=not options.quiet,
+        remap=options.remap, namespaces=options.namespace, show=progress(options.quiet),
         command=command_line('localize_bag', arguments))
     for note in outcome.notes():
         print(f'note: {note}', file=sys.stderr)
@@ -122,7 +121,7 @@ class Outcome:
 def localize_bag(
     bag: str, out: str, settings: Mapping[str, Any], storage: str = STORAGES[0],
     frame_id: str = 'map', remap: Sequence[str] = (), namespaces: Sequence[str] = (),
-    progress: bool = False, command: str = '',
+    show: Progress = unshown, command: str = '',
 ) -> Outcome:
     """
     Localize every vehicle of a bag and write a bag with the poses.
@@ -147,8 +146,8 @@ def localize_bag(
         ground truth, which becomes Odometry.
     namespaces : sequence of str
         Of the vehicles; by default all that have beacons or ranges.
-    progress : bool
-        Show a progress bar where standard error is a terminal.
+    show : Progress
+        Shows how much of the bag is done.
     command : str
         The command line, if there is one.
 
@@ -186,8 +185,7 @@ def localize_bag(
             if inputs.anchors:
                 outlet.write_anchors()
             total = sum(reader.counts[topic] for topic in wanted)
-            for message in tqdm(reader.messages(wanted), total=total, unit='msg',
-                                disable=None if progress else True, leave=False):
+            for message in show(reader.messages(wanted), total, 'msg', 'localizing'):
                 outlet.stamp = message.stamp
                 for copy in kept.get(message.topic, ()):
                     with outcome.counting(message.topic):
@@ -228,7 +226,7 @@ def _parser() -> argparse.ArgumentParser:
                         'ground_truth:=TOPIC, for an evaluation')
     parser.add_argument('--namespace', action='append', default=[], metavar='NAME',
                         help='namespace of a vehicle (default: all that have beacons or ranges)')
-    parser.add_argument('--quiet', action='store_true', help='show no progress')
+    add_quiet(parser)
     add_arguments(parser, InputConfig, *CONFIGS)
     return parser
 
