@@ -30,6 +30,7 @@ EXTRAS = {
         'evo>=1.30,<2',
         'hypothesis>=6.98,<7',
         'mcap>=1.1,<2',
+        'mcap-ros2-support>=0.5.3,<0.7',
         'pytest>=7.4',
         'pytest-timeout>=2.2',
         'pytest-xdist>=3.5',

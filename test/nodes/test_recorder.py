@@ -6,8 +6,10 @@ import signal
 from typing import Any
 
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader as RosbagsReader
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader
@@ -22,6 +24,7 @@ from tsmcl_ros.nodes.runtime import (
 )
 from tsmcl_ros.types import Odometry
 from tsmcl_ros.world import anchor_table
+from visualization_msgs.msg import Marker, MarkerArray
 
 Start = Callable[..., Any]
 
@@ -127,6 +130,47 @@ def test_topics_are_chosen_by_name_or_regular_expression(
     assert recorder.stop() == 0
     with Reader(tmp_path / 'bag') as bag:
         assert bag.counts == {'/veh_0/odom': 1, '/veh_2/odom': 1, '/else': 1}
+
+
+def test_mcaps_own_decoder_understands_every_message_by_the_schemas_in_the_bag(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    marker = Marker(ns='anchor_ids', text='7: suspect')
+    diagnosis = messages.Diagnosis(1, 'fleet: /veh_0', 'STALE', '/veh_0', {'suspects': '7'})
+    sent = {
+        '/markers': ('visualization_msgs/msg/MarkerArray',
+                     serialize_message(MarkerArray(markers=[marker]))),
+        '/diagnostics': (messages.DIAGNOSTICS, messages.encode_diagnostics(1.5, [diagnosis])),
+        '/odom': (messages.ODOMETRY, odometry(1.5)),
+        '/pose': (messages.POSE, messages.encode_pose(
+            1.5, 'map', np.array([3.0, 4.0]), np.eye(2), 0.1, 0.2)),
+        '/cloud': (messages.POSE_ARRAY, messages.encode_pose_array(
+            1.5, 'map', np.array([[3.0, 4.0]]))),
+        '/beacons': (messages.POINT_CLOUD, messages.encode_beacons(
+            anchor_table(np.zeros((1, 3))), 'map')[0]),
+        '/beacon_period': (messages.UINT32, messages.encode_period(4)),
+    }
+    talks = {name: probe.talk(name, kind, RELIABLE) for name, (kind, _) in sent.items()}
+    recorder = record(start)
+    probe.expect(lambda: all(talk.get_subscription_count() for talk in talks.values()), 'recorder')
+    for name, talk in talks.items():
+        talk.publish(sent[name][1])
+    probe.expect(lambda: all(talk.wait_for_all_acked() for talk in talks.values()), 'its answer')
+    recorder.stop()
+
+    [file] = (tmp_path / 'bag').glob('*.mcap')
+    with file.open('rb') as stream:
+        found = {channel.topic: decoded for _, channel, _, decoded in make_reader(
+            stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()}
+    assert found.keys() == sent.keys()
+    assert found['/markers'].markers[0].text == '7: suspect'
+    assert found['/diagnostics'].status[0].values[0].value == '7'
+    assert found['/diagnostics'].header.stamp.nanosec == 500_000_000
+    assert found['/odom'].child_frame_id == 'base_link'
+    assert found['/pose'].pose.pose.position.y == 4.0
+    assert found['/cloud'].poses[0].position.x == 3.0
+    assert found['/beacons'].fields[0].name == 'x'
+    assert found['/beacon_period'].data == 4
 
 
 def test_a_latched_message_is_recorded_although_it_came_before_and_stays_latched(

@@ -1,11 +1,13 @@
 """Running bags through the localizer from the command line."""
 
+from collections import Counter
 from dataclasses import replace
 import signal
 import sqlite3
 import time
 
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -150,6 +152,17 @@ def test_mcap_and_rosbags_open_what_was_made(bag, tmp_path):
     assert last.header.frame_id == 'map'
     assert last.header.stamp.sec == 10
     assert last.pose.pose.position.x == pytest.approx(30, abs=1.5)
+
+
+def test_mcaps_own_decoder_understands_every_message(bag, tmp_path):
+    localize(bag, tmp_path / 'out')
+    with Reader(tmp_path / 'out') as reader:
+        counts = reader.counts
+    with (tmp_path / 'out' / 'out.mcap').open('rb') as stream:
+        found = Counter(channel.topic for _, channel, _, decoded in make_reader(
+            stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages() if decoded)
+    assert found == {topic: count for topic, count in counts.items() if count}
+    assert {'/diagnostics', '/veh_0/pose', '/anchor_map'} <= found.keys()
 
 
 def test_the_new_bag_can_be_sqlite3(bag, tmp_path):

@@ -190,8 +190,10 @@ class LocalizerNode(ManagedNode):
                 publisher.publish(messages.encode_pose_array(
                     estimate.stamp, self._output.global_frame_id, particles))
         if self._marker_rest.is_over(estimate.stamp, self._output.marker_period):
+            suspects = {
+                each for known in self._localizer.health.suspects for each in known}
             self._markers.publish(views.markers(
-                estimate, self._anchors, self._localizer.channel.radio_range,
+                estimate, self._anchors, suspects, self._localizer.channel.radio_range,
                 self._output.global_frame_id))
 
     def _note_status(self, stamp: float) -> None:
