@@ -151,10 +151,10 @@ BAD_ROWS = {
     'negative id': ('anchors', '-1,0,0,0', "id '-1' .* must be a whole number at least 0 and at"),
     'id beyond 32 bits': ('anchors', '4294967296,0,0,0', 'at most 4294967295'),
     'id that comes twice': ('anchors', '3,0,0,0', 'id 3 is claimed by two anchors, the other is '
-                                                 'in line 2'),
+                            'in line 2'),
     'position that is empty': ('anchors', '5,,0,0', "x '' is not allowed"),
     'position beyond 100 km': ('anchors', '5,456789,0,0', "x '456789' is not allowed, must be a nu"
-                                                         'mber at least -100000 and at most 1000'),
+                               'mber at least -100000 and at most 1000'),
     'yaw that is empty': ('odometry', '9,0,0,', "yaw '' is not allowed, must be a number"),
     'odometry that goes back': ('odometry', '0.5,0,0,0', 't 0.5 goes back, must be at least 1 as'),
     'truth that goes back': ('truth', '0.5,0,0,0,0', 't 0.5 goes back, must be at least 1 as in'),

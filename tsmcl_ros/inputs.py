@@ -293,7 +293,7 @@ def _sender(text: str, is_group: bool) -> int:
         raise MessageError(
             f'{text!r} in the name of the topic names no sender, must hold a number')
     raise MessageError(
-        f"frame_id {text!r} names no sender, must hold a number; or let a group in ranges, as in "
+        f'frame_id {text!r} names no sender, must hold a number; or let a group in ranges, as in '
         r"'/uwb/n_(\d+)', name it")
 
 

@@ -60,8 +60,8 @@ class LocalizerConfig(Config):
     outage_period: float = param(
         2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0, live=True)
     outage_predictor: str = param(
-        'velocity', "what predicts a vehicle that hears nothing and has no odometry: the way its "
-        "velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, "
+        'velocity', 'what predicts a vehicle that hears nothing and has no odometry: the way its '
+        'velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, '
         "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'))
     time_jump: float = param(
         10.0, "start anew when a topic's stamps go back by more than this, as in a looped bag; "

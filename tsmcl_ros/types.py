@@ -186,12 +186,11 @@ class Observation:
         )
 
     def vehicle(self, index: int) -> Observation:
-        """Return the observation of one vehicle (V = 1) without its padding."""
+        """Return what one vehicle observes (V = 1) without its padding."""
         rows = self.heard[index]
         return replace(
             self, **{name: getattr(self, name)[index:index + 1, rows] for name in _ROW_FIELDS}
         )
-
 
     def of(self, index: Array) -> Observation:
         """Return what these vehicles heard, padding, silence and all."""

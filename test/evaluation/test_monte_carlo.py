@@ -18,7 +18,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
 from tsmcl_ros.types import TsmclError
 
 sys.path.append(str(Path(__file__).parent))
-from draws import Dies, Draws
+from draws import Dies, Draws  # noqa: E402, I100
 
 
 def values(results):

@@ -97,7 +97,7 @@ def test_topics_in_any_namespace_are_found(walk):
 
 def test_methods_below_a_vehicles_namespace_are_runs_of_their_own(walk):
     bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/mcl/pose': estimate(4.0),
-                          '/veh_0/ts_mcl/pose': estimate(2.0)})
+                '/veh_0/ts_mcl/pose': estimate(2.0)})
 
     runs = read_runs(bag)
 
@@ -115,7 +115,7 @@ def test_a_vehicle_that_was_never_localized_counts_as_unavailable(walk):
 
 def test_a_vehicle_without_a_pose_topic_is_named_and_not_evaluated(walk):
     bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate(),
-                         '/veh_1/ground_truth': truth()})
+                '/veh_1/ground_truth': truth()})
 
     [run] = read_runs(bag)
 
@@ -125,7 +125,7 @@ def test_a_vehicle_without_a_pose_topic_is_named_and_not_evaluated(walk):
 
 def test_a_pose_topic_without_ground_truth_is_named_and_not_evaluated(walk):
     bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate(),
-                         '/veh_1/pose': estimate(50.0)})
+                '/veh_1/pose': estimate(50.0)})
 
     [run] = read_runs(bag)
 
@@ -147,7 +147,7 @@ def test_skipped_poses_are_worth_no_note(walk):
 
 def test_the_anchor_map_is_read(walk):
     bag = walk({'/anchor_map': [scan(0, (4, 9), 30.0)],
-                          '/veh_0/ground_truth': truth(), '/veh_0/pose': estimate()})
+                '/veh_0/ground_truth': truth(), '/veh_0/pose': estimate()})
 
     [run] = read_runs(bag)
 
@@ -179,7 +179,7 @@ def test_scans_in_which_nobody_was_heard_do_not_end_an_outage(walk):
     scans = [scan(stamp, () if 20 < stamp < 50 else (7,)) for stamp in range(101)]
 
     bag = walk({'/veh_0/ground_truth': truth(), '/veh_0/pose': estimate(),
-                          '/veh_0/beacons': scans})
+                '/veh_0/beacons': scans})
 
     assert read_runs(bag)[0].outages == ((CLOCK + 20, CLOCK + 50),)
 
@@ -262,7 +262,7 @@ def test_a_bag_whose_poses_and_truths_do_not_belong_together_is_refused(walk):
 
 def test_no_overlap_in_time_is_refused_saying_both_spans(walk):
     bag = walk({'/veh_0/ground_truth': truth(0, 10),
-                          '/veh_0/pose': estimate(start=20, end=30)})
+                '/veh_0/pose': estimate(start=20, end=30)})
 
     with pytest.raises(BagError, match=r'poses span 1770000020\.000 to 1770000030\.000 s, '
                                        r'truth spans 1770000000\.000 to 1770000010\.000 s$'):

@@ -12,7 +12,7 @@ from tsmcl_ros.evaluation.results import prepare_folder, read_results, write_res
 from tsmcl_ros.types import TsmclError
 
 sys.path.append(str(Path(__file__).parent))
-from draws import Draws
+from draws import Draws  # noqa: E402, I100
 
 RECORD = {'quick': False, 'seed': 0, 'runs': 2, 'workers': 1, 'duration_s': 0.5}
 
@@ -45,6 +45,7 @@ def test_the_csv_file_holds_every_row_led_by_its_case_and_run(tmp_path):
 
 def test_an_unknown_number_is_an_empty_cell(tmp_path):
     class Unknown(Draws):
+
         def work(self, case, seed):
             return Outcome({'value': np.array([np.nan])}, 0.0)
 
@@ -74,6 +75,7 @@ def test_the_json_file_says_what_made_the_rows_and_what_they_show(tmp_path):
 
 def test_without_matplotlib_there_is_no_figure(tmp_path):
     class Plotless(Draws):
+
         def draw(self, results, path):
             raise ModuleNotFoundError(name='matplotlib.figure')
 
@@ -108,6 +110,7 @@ def test_results_can_be_read_again(written):
 
 def test_an_unknown_number_is_read_as_one(tmp_path):
     class Unknown(Draws):
+
         def work(self, case, seed):
             return Outcome({'value': np.array([np.nan, 1.5])}, 0.0)
 
@@ -119,6 +122,7 @@ def test_an_unknown_number_is_read_as_one(tmp_path):
 
 def test_a_case_may_have_a_comma_in_its_name(tmp_path):
     class Named(Draws):
+
         def cases(self):
             return [{'name': 'ours, new'}, {'name': 'ours, "old"'}]
 

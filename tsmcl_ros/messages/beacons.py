@@ -36,7 +36,7 @@ _UPPER_TRIANGLE = (
     (1, 1, 'cov_yy'), (1, 2, 'cov_yz'), (2, 2, 'cov_zz'),
 )
 _FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_OFFSETS = {name: BEACON.fields[name][1] for name in BEACON.names}  # type: ignore[index,union-attr]
+_OFFSETS = {name: field[1] for name, field in (BEACON.fields or {}).items()}
 
 # The same row, with position and covariance each in one piece.
 _ROW = np.dtype({

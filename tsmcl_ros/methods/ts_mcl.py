@@ -43,7 +43,7 @@ class TsMclConfig(CloudConfig):
     aspiration: float = param(
         0.5, 'score above which a particle is good enough', above=0.0, high=1.0, live=True)
     prior_bandwidth: float = param(
-        0.0, "smoothing of the predicted density that repaired clouds are weighed by, in "
+        0.0, 'smoothing of the predicted density that repaired clouds are weighed by, in '
         "standard deviations of the cloud; 0 for the paper's way, which asks only what was "
         'heard', low=0.0, high=10.0, live=True)
 
@@ -160,7 +160,7 @@ class _Search:
             setattr(self, name, values[rows])
 
     def neighbours(self, rng: np.random.Generator, tabu_radius: float) -> Array:
-        """Return two neighbours (M, 2, D) [m] of each start, redrawn once where tabu."""
+        """Return two positions (M, 2, D) [m] near each start, redrawn once where tabu."""
         shape = (len(self.index), 2, self.start.shape[1])
         step = ((1 - self.score) * self.scale)[:, None, None]
         drawn = self.start[:, None] + step * rng.standard_normal(shape, np.float32)

@@ -133,7 +133,7 @@ def grey_azimuth(history: History, station: Array, stamp: float) -> tuple[Array,
 
 def farthest(mean: Array, reference: Array, used: Array) -> Array:
     """
-    Return the farthest (V, 2) of the references that are used (V, K), the origin if none is.
+    Return the farthest place (V, 2) of the references used (V, K), the origin if none is.
 
     The farther a station is, the less does an azimuth change within a position's uncertainty, and
     the more slowly along the way.

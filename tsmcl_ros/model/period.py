@@ -58,7 +58,7 @@ class PeriodConfig(Config):
         return self.beacon_period == 'adaptive' or self.period_factor > 1
 
     def factor(self, residual: Array) -> Array:
-        """Return the factor (V,) int that vehicles with these residuals (V,) ask for."""
+        """Return what factors (V,) int vehicles with these residuals (V,) ask for."""
         if self.beacon_period == 'fixed':
             return np.full(len(residual), self.period_factor)
         return np.asarray(np.maximum(

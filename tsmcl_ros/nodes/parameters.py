@@ -93,6 +93,7 @@ def declare(
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(refuse)
+
     def take(changes: list[RosParameter]) -> None:
         values.update(_converted(changes, known))
         changed()

@@ -103,7 +103,7 @@ class _TimeSteps:
 
     def refuse_doctype(self, name: str, *_: object) -> None:
         raise Refused(f'has a document type definition (<!DOCTYPE {name}>), refused: '
-                          'fcd-export files have none')
+                      'fcd-export files have none')
 
     def begin(self, element: str, attributes: dict[str, str]) -> None:
         depth = len(self._path)
@@ -112,7 +112,7 @@ class _TimeSteps:
             return
         if depth == 0 and element != 'fcd-export':
             raise Refused(f'<{element}> is not the root of a SUMO trace, expected '
-                              '<fcd-export>')
+                          '<fcd-export>')
         if element == 'timestep':
             self._begin_step(_number(element, attributes, 'time'))
         elif element == 'vehicle':
@@ -128,7 +128,7 @@ class _TimeSteps:
     def _begin_step(self, time: float) -> None:
         if time <= self._last:
             raise Refused(f'time {time:g} s does not come after {self._last:g} s, expected '
-                              'time steps in order')
+                          'time steps in order')
         self._first = min(self._first, time)
         self._last = time
         if time <= self._start:

@@ -8,7 +8,7 @@ from tsmcl_ros.evaluation.plots.canvas import GAP
 
 
 def bars(ax):
-    """Return the bars (from, to, row) of each status, without those that are for the legend."""
+    """Return (from, to, row) of the bars of each status, without those that are for the legend."""
     found = [[] for _ in range(3)]
     for index, collection in enumerate(item for item in ax.collections if not item.get_label()
                                        or item.get_label().startswith('_')):

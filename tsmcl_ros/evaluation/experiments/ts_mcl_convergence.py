@@ -180,11 +180,11 @@ class TsMclConvergence:
         compared = ratio_interval(rmse, tabu.late, most.late)
         return [
             goal(f'{what}median over epochs {self.epochs // 2}-{self.epochs}',
-                  bootstrap_interval(np.median, tabu.late), CLAIMED, ' m'),
+                 bootstrap_interval(np.median, tabu.late), CLAIMED, ' m'),
             goal(f'{what}median at epoch {self.epochs}',
-                  bootstrap_interval(np.median, tabu.late[-1:]), 4.0, ' m'),
+                 bootstrap_interval(np.median, tabu.late[-1:]), 4.0, ' m'),
             goal(f'{what}RMSE over that of a bootstrap filter with {most.particles}',
-                  compared, 1.1),
+                 compared, 1.1),
         ]
 
     def _limits(self, curves: Sequence[Curve]) -> list[Finding]:

@@ -217,7 +217,7 @@ class TsMclTime(HeardOnly):
         curves = {f'TS-MCL, {count} particles': (
             self.iterations, [seconds(filter='ts_mcl', particles=count, iterations=number)
                               for number in self.iterations])
-            for count in (self.fewer, self.particles)}
+                  for count in (self.fewer, self.particles)}
         curves[f'MCL, {self.particles} particles'] = (
             self.iterations, [seconds(filter='mcl')] * len(self.iterations))
         _draw(path, curves, 'most iterations', 'processor time of all runs [s]')
@@ -258,8 +258,8 @@ class TsMclRadius(HeardOnly):
         _draw(path, {f'{SHOWN[method]}, {count} particles': (
             self.ranges, [outcomes.mean(filter=method, particles=count, radio_range_m=reach)
                           for reach in self.ranges])
-            for count in self.particles for method in ('mcl', 'ts_mcl')},
-            'radio range [m]', 'mean error [m]')
+                     for count in self.particles for method in ('mcl', 'ts_mcl')},
+              'radio range [m]', 'mean error [m]')
 
 
 class Outcomes:
@@ -269,7 +269,7 @@ class Outcomes:
         self._results = results
 
     def errors(self, **what: Any) -> Array:
-        """Return the errors (U,) [m] of all vehicles of the cases that say this."""
+        """Return how far off (U,) [m] all vehicles of the cases that say this are."""
         return np.concatenate(
             [result.outcome.rows['error_m'] for result in self._select(what)])
 
