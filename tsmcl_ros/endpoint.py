@@ -17,6 +17,8 @@ from tsmcl_ros.inputs import absolute, InputConfig, RangeInput
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import Estimate, MessageError, Prior
 
+_MUCH = 1.0  # s, between a message's stamp and the time of its recording or arrival
+
 
 @dataclass(frozen=True)
 class OutputConfig(Config):
@@ -164,6 +166,14 @@ class Rest:
     def end(self) -> None:
         """Let it be over."""
         self._begin = -math.inf
+
+
+def lag_note(lag: float) -> str:
+    """Say what it means that stamps are before the time of recording or arrival [s], if much."""
+    if not abs(lag) > _MUCH:
+        return ''
+    return (f'header stamps are {abs(lag):.1f} s {"before" if lag > 0 else "after"} the time of '
+            'recording or arrival: epochs and poses go by the header stamps')
 
 
 def _topic(namespace: str, name: str) -> str:

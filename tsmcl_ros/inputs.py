@@ -247,8 +247,7 @@ def unplaced_note(sender: int, count: int) -> str:
     """Say what to do about ranges of a sender that nobody has placed."""
     return (
         f'left out {count} ranges of id {sender}, as nobody tells where it was: give its place in '
-        'anchors, its topic of poses in references (within reference_age), or leave its ranges '
-        'out')
+        'anchors, or its topic of poses in references, or leave its ranges out')
 
 
 def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:

@@ -7,6 +7,7 @@ import sys
 
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.endpoint import OutputConfig
+from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.localizer import LocalizerNode
@@ -37,7 +38,7 @@ class Fleet(LocalizerNode):
     """
 
     default_name = 'fleet'
-    configs = (LifecycleConfig, FleetConfig, FleetOutputConfig, *CONFIGS)
+    configs = (LifecycleConfig, FleetConfig, FleetOutputConfig, InputConfig, *CONFIGS)
 
     def vehicle_names(self) -> list[str]:
         """Return the namespaces of the vehicles."""

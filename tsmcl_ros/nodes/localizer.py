@@ -15,10 +15,11 @@ from std_srvs.srv import Empty
 from tsmcl_ros import messages
 from tsmcl_ros.config import adjust, build
 from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD, NAMES
-from tsmcl_ros.endpoint import Endpoint, OutputConfig, Rest
+from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig, Rest
+from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.model.health import LOST, STALE
-from tsmcl_ros.nodes import runtime, views
+from tsmcl_ros.nodes import discovery, runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import live, select
 from tsmcl_ros.nodes.transforms import Broadcaster
@@ -38,13 +39,13 @@ class LocalizerNode(ManagedNode):
     """
     Localizer: tells where a vehicle is, from the beacons that it hears and its odometry.
 
-    Listens to beacons, odom and initialpose in its namespace, to /anchor_map and /anchor_links;
-    publishes pose, particle_cloud, markers and /diagnostics, and beacon_period if it is to be
-    adaptive.
+    Listens to beacons, odom and initialpose in its namespace, to /anchor_map and /anchor_links,
+    and to the topics that ranges and references name, as they appear; publishes pose,
+    particle_cloud, markers and /diagnostics, and beacon_period if it is to be adaptive.
     """
 
     default_name = 'localizer'
-    configs = (LifecycleConfig, OutputConfig, *CONFIGS)
+    configs = (LifecycleConfig, OutputConfig, InputConfig, *CONFIGS)
     adjustable = live(configs)
 
     def set_up(self) -> None:
@@ -53,7 +54,8 @@ class LocalizerNode(ManagedNode):
         self._vehicles = [name or self.get_namespace() for name in names]
         self._output = build(OutputConfig, self.settings)
         self._localizer = Localizer(select(self.settings, CONFIGS), len(names))
-        self._endpoint = Endpoint(self._localizer, names, self._output.global_frame_id)
+        inputs = build(InputConfig, self.settings)
+        self._endpoint = Endpoint(self._localizer, names, self._output.global_frame_id, inputs)
         self._transforms = self._broadcaster(names) if self._output.tf_broadcast else None
         self._anchors: Observation | None = None
         self._estimate: Estimate | None = None
@@ -61,6 +63,11 @@ class LocalizerNode(ManagedNode):
         self._latency = math.nan
         self._offer()
         self._subscribe()
+        if inputs.ranges or inputs.references:
+            search = discovery.Discovery(self, self._endpoint.ranges, self._heed)
+            search.look()
+            self.create_timer(
+                discovery.PERIOD, search.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(
             f'{len(names)} vehicles, method {self._localizer.config.method}, '
             f'seed {self._localizer.config.seed}')
@@ -159,9 +166,11 @@ class LocalizerNode(ManagedNode):
             self.get_logger().warning(f'initial pose ignored: {error}')
 
     def _publish_due(self) -> None:
-        estimates = self._localizer.due()
+        estimates = self._endpoint.due()
         if not estimates:
             return
+        if self._estimate is None and (note := lag_note(self.now - estimates[0].stamp)):
+            self.get_logger().info(note)
         for estimate in estimates:
             self._publish_poses(estimate)
         self._latency = time.monotonic() - self._arrival

@@ -29,9 +29,10 @@ class ReplayConfig(Config):
     topics: tuple[str, ...] = param(
         (), 'topics, or regular expressions that match whole ones; none for all')
     exclude: tuple[str, ...] = param(
-        ('.*/(pose|particle_cloud|markers)', '/(diagnostics|parameter_events|rosout)'),
-        'topics to leave out, named as in topics; by default what a live localizer publishes '
-        'itself')
+        (f'.*/pose {messages.POSE}', '.*/(particle_cloud|markers)',
+         '/(diagnostics|parameter_events|rosout)'),
+        'topics to leave out, named as in topics, or by name and type; by default what a live '
+        'localizer publishes itself')
     wait_for: tuple[str, ...] = param(
         (), 'topics that must have a subscription before it begins; none for any of those played')
     wait: float = param(10.0, 'longest wait for these subscriptions, in real time', unit='s',
@@ -62,10 +63,7 @@ class Replay(runtime.Node):
                 f'start: {self._config.start:g} s is not allowed, must be at most the '
                 f"bag's duration, {self._bag.duration:g} s"
             )
-        self._played = {
-            topic: publisher for topic in self._selected()
-            if (publisher := self._publisher(topic)) is not None
-        }
+        self._played = self._offer()
         if not self._played:
             found = ', '.join(sorted(self._bag.topics))
             raise BagError(f'{self._bag.path}: has no topic to play, has {found}')
@@ -95,17 +93,25 @@ class Replay(runtime.Node):
         is_excluded = runtime.topic_filter('exclude', self._config.exclude)
         return sorted(
             topic for topic in self._bag.topics
-            if topic != '/clock' and is_named(topic) and not is_excluded(topic)
+            if topic != '/clock' and is_named(topic)
+            and not is_excluded(topic) and not is_excluded(f'{topic} {self._bag.topics[topic]}')
         )
 
-    def _publisher(self, topic: str) -> Publisher | None:
-        """Return a publisher that all kinds of subscriptions match, None if it has no type."""
-        qos = runtime.LATCHED_INPUT if topic in self._bag.latched else runtime.RELIABLE
-        try:
-            return self.talk(topic, self._bag.topics[topic], qos)
-        except MessageError as error:
-            self.get_logger().warning(f'{topic} is not played: {error}')
-            return None
+    def _offer(self) -> dict[str, Publisher]:
+        """Return a publisher a topic, naming each type once that is not installed."""
+        found: dict[str, Publisher] = {}
+        failed: dict[str, list[str]] = {}
+        for topic in self._selected():
+            # One that all kinds of subscriptions match.
+            qos = runtime.LATCHED_INPUT if topic in self._bag.latched else runtime.RELIABLE
+            try:
+                found[topic] = self.talk(topic, self._bag.topics[topic], qos)
+            except MessageError as error:
+                failed.setdefault(str(error), []).append(topic)
+        for reason, topics in failed.items():
+            verb = 'is' if len(topics) == 1 else 'are'
+            self.get_logger().warning(f'{", ".join(topics)} {verb} not played: {reason}')
+        return found
 
     def _wait_for_subscriptions(self) -> None:
         """Wait for those that are asked for, or for any; begin without them after a while."""

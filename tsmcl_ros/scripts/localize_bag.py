@@ -21,7 +21,7 @@ from tsmcl_ros.config import (
     load_yaml,
     parameters,
 )
-from tsmcl_ros.endpoint import Endpoint, OutputConfig
+from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig
 from tsmcl_ros.inputs import absolute, InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
@@ -32,7 +32,6 @@ from tsmcl_ros.types import MessageError, Progress, unshown
 # What a parameter file for the node may hold that has no meaning here.
 _NODES_OWN = {'use_sim_time', 'autostart', *(item.name for item in parameters(OutputConfig))}
 _MAX_REASONS = 5
-_MUCH = 1.0  # s, between a message's stamp and the time of recording
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -103,10 +102,8 @@ class Outcome:
         for kind in sorted(set(self.undecodable.values())):
             topics = sorted(topic for topic, its in self.undecodable.items() if its == kind)
             yield f'skipped what is of type {kind}, which nobody defines: {", ".join(topics)}'
-        if abs(self.lag) > _MUCH:
-            yield (f'header stamps are {abs(self.lag):.1f} s '
-                   f'{"before" if self.lag > 0 else "after"} the times of recording: epochs and '
-                   'poses go by the header stamps')
+        if note := lag_note(self.lag):
+            yield note
         for sender, count in sorted(self.unplaced.items()):
             yield unplaced_note(sender, count)
         if self.restarts:
