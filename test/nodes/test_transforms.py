@@ -1,8 +1,14 @@
 from __future__ import annotations
 
+from importlib.util import find_spec
+from typing import Any
+
 import numpy as np
 import pytest
-from tsmcl_ros.nodes.transforms import map_to_odom
+from rclpy.serialization import deserialize_message
+from tsmcl_ros.endpoint import OutputConfig
+from tsmcl_ros.nodes.runtime import message_class, RELIABLE
+from tsmcl_ros.nodes.transforms import Broadcaster, map_to_odom
 from tsmcl_ros.types import Estimate
 
 
@@ -38,3 +44,21 @@ def test_without_odometry_or_rotation_the_vehicle_itself_is_placed(
     assert not has_odometry
     assert translation.tolist() == [1.0, 2.0, 0.0]
     assert rotation == 0.0
+
+
+@pytest.mark.skipif(find_spec('tf2_ros') is None, reason='tf2_ros is not installed')
+@pytest.mark.parametrize(('odometry', 'frame'), [
+    ([3.0, 1.0, 0.0, 0.2], 'veh_0/odom'), (None, 'veh_0/base_link')])
+def test_tf_is_told_where_the_vehicle_or_its_odometry_frame_lies(
+    probe: Any, odometry: list[float] | None, frame: str,
+) -> None:
+    told = probe.collect('/tf', 'tf2_msgs/msg/TFMessage', RELIABLE)
+    broadcaster = Broadcaster(probe, OutputConfig(transform_tolerance=0.5), ['veh_0/'])
+    where = estimate([10.0, 20.0], np.pi / 2, odometry)
+    probe.insist(lambda: broadcaster.send(where), lambda: bool(told), 'a transform')
+    transform, = deserialize_message(told[0], message_class('tf2_msgs/msg/TFMessage')).transforms
+    stamp, moved = transform.header.stamp, transform.transform.translation
+    assert (transform.header.frame_id, transform.child_frame_id) == ('map', frame)
+    assert (stamp.sec, stamp.nanosec) == (1, 500_000_000)
+    np.testing.assert_allclose(
+        [moved.x, moved.y], [11.0, 17.0] if odometry else [10.0, 20.0])
