@@ -11,6 +11,7 @@ import pytest
 from tsmcl_ros.config import build, load_yaml, parameters, refuse_unknown
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes.localizer import LocalizerNode
+from tsmcl_ros.world import MOBILITY
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {str(path.relative_to(ROOT)): path for path in sorted(
@@ -101,3 +102,18 @@ def test_the_example_for_users_of_amcl_is_one_that_the_localizer_takes(tmp_path)
     refuse_unknown(values, LocalizerNode.configs, str(path))
     for config in LocalizerNode.configs:
         build(config, values)
+
+
+def test_the_table_of_who_imports_what_names_every_part() -> None:
+    parts = {path.stem for path in (ROOT / 'tsmcl_ros').iterdir() if path.suffix == '.py'
+             or (path / '__init__.py').exists()} - {'__init__'}
+    table = PAGES['CONTRIBUTING.md'].read_text().partition('| part |')[2].partition('\n\n')[0]
+    named = {name.strip('/') for row in re.findall(r'^\| (.*?) \|', table, re.MULTILINE)
+             for name in re.findall('`(.*?)`', row)}
+    assert named == parts
+
+
+def test_every_mobility_stands_on_its_page() -> None:
+    text = PAGES['docs/mobility.md'].read_text()
+    for name in MOBILITY:
+        assert f'| `{name}` |' in text
