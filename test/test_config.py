@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hypothesis import given, strategies
+from hypothesis import given, settings, strategies
 import pytest
 from tsmcl_ros.config import (
     add_arguments,
@@ -234,6 +234,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+@settings(max_examples=30)
 @given(
     power=strategies.floats(0.0, 100.0, exclude_min=True),
     cylinders=strategies.integers(1, 10**12),

@@ -2,7 +2,7 @@
 
 import math
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -121,6 +121,7 @@ def test_of_repeated_beacons_the_rssi_is_averaged_and_the_last_range_taken(tmp_p
     assert math.isnan(scan.rssi[0, 1])
 
 
+@settings(max_examples=30)
 @given(period=st.sampled_from([0.1, 0.2, 0.3, 0.5, 0.7, 1.0]), count=st.integers(1, 300))
 def test_a_beacon_at_the_beginning_of_a_period_belongs_to_it(tmp_path_factory, period, count):
     rows = ''.join(f'{k * period:.4f},1,1,\n' for k in range(count))

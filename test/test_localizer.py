@@ -210,7 +210,7 @@ def in_order():
     return events, bits(run(events, vehicles=2))
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(lags=st.lists(st.floats(0, 0.3), min_size=4, max_size=4), seed=st.integers(0, 999))
 def test_estimates_do_not_depend_on_how_topics_interleave(in_order, lags, seed):
     # Lag, jitter and the time between two odometry poses together stay below max_wait, 0.5 s.

@@ -12,6 +12,8 @@ from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.health import LOST, OK
 from tsmcl_ros.world import make_world
 
+pytestmark = pytest.mark.accuracy
+
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
 VEHICLES = 16
 EPOCHS, MOVED = 70, 40
@@ -61,7 +63,7 @@ def teleported(kind, method):
 
 
 CASES = pytest.mark.parametrize(('kind', 'method'), [
-    ('ranges', 'ts_mcl'), ('ranges', 'mcl'), ('ranges', 'r_mcl'), ('ranges', 'cooperative'),
+    ('ranges', 'ts_mcl'), ('ranges', 'r_mcl'), ('ranges', 'cooperative'),
     ('ranges', 'ekf'), ('range-free', 'ts_mcl')])
 
 

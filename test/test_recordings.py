@@ -19,6 +19,8 @@ from tsmcl_ros.scripts import evaluate, import_csv, localize_bag
 from tsmcl_ros.world import make_world
 import yaml
 
+pytestmark = pytest.mark.accuracy
+
 CONFIG = Path(__file__).parent.parent / 'config'
 SETTLING = 5.0  # s, left out at the start of each BLE track
 

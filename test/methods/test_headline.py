@@ -20,6 +20,8 @@ from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import Motion
 from tsmcl_ros.world import make_world
 
+pytestmark = pytest.mark.accuracy
+
 VEHICLES, EPOCHS = 20, 200
 
 # Vehicles begin a leg each, at a speed that is uniform. In the steady state most are slow, cross

@@ -9,6 +9,8 @@ import pytest
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.scripts.experiment import main
 
+pytestmark = pytest.mark.accuracy
+
 NAME = 'ts_mcl_convergence'
 
 
