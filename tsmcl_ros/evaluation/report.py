@@ -94,9 +94,10 @@ def _comparison(runs: Sequence[Run]) -> str:
 
 def _section(run: Run, name: str, alone: bool) -> str:
     """Return a run's plots and, of several vehicles, their table."""
-    particles = _particles(run, name)
+    particles = _particles(run, name, RIGHT if alone else LEFT)
     # What makes both columns about as long.
     height = 2.6 if alone == bool(particles) else 3.6
+    height += 1.2 if _dimension(run) == 3 else 0
     left = _maps(run, name) + (_error_cdf([run], 2.9) if alone else particles)
     right = (_error(run, name, height)
              + _nees({run.label: run.vehicles}, f'{name}-nees', height)
@@ -149,10 +150,10 @@ def _nees(runs: Mapping[str, Any], name: str, height: float) -> str:
                   'little')
 
 
-def _particles(run: Run, name: str) -> str:
+def _particles(run: Run, name: str, width: float) -> str:
     if not any((part.particles > 1).any() for part in run.conditions.values()):
         return ''
-    drawing, (above, below) = plots.stack(RIGHT, [1.2, 1.5])
+    drawing, (above, below) = plots.stack(width, [1.2, 1.5])
     start = plots.time_origin(run.vehicles)
     plots.particles_over_time(above, run.conditions, start)
     plots.effective_over_time(below, run.conditions, start)

@@ -85,6 +85,22 @@ def test_the_nees_of_several_runs_is_a_curve_each(ax):
     assert {'a', 'b'} <= set(legend(ax))
 
 
+def test_a_covariance_that_is_as_good_as_none_does_not_squeeze_the_nees(ax):
+    wrong = vehicle(0)
+    wrong.nees[50] = 1e12
+
+    plots.nees_over_time(ax, {'a': {'veh_0': wrong}})
+
+    assert ax.get_ylim()[1] == pytest.approx(1000 * nees_band(2, 1)[1])
+
+
+def test_a_run_that_dwarfs_the_others_makes_the_scale_logarithmic(ax):
+    plots.median_error_over_time(ax, {
+        'a': fleet(3), 'b': fleet(3), 'c': {'veh_0': vehicle(0, scale=50.0)}})
+
+    assert ax.get_yscale() == 'log'
+
+
 def test_fleets_of_different_sizes_have_no_band_in_common(ax):
     plots.nees_over_time(ax, {'a': fleet(40), 'b': fleet(1)})
 

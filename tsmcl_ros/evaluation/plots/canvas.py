@@ -104,10 +104,14 @@ def broken(stamp: Array, values: Array) -> Array:
     return shown
 
 
-def scale_errors(ax: Axes, error: Array, axis: str = 'y') -> None:
-    """Start the axis at no error, or make it logarithmic where a few errors dwarf all others."""
+def scale_errors(ax: Axes, error: Array, axis: str = 'y', dwarfed: float = 30.0) -> None:
+    """
+    Start the axis at no error, or make it logarithmic where some errors dwarf most others.
+
+    That is, where the largest is so many times their median.
+    """
     positive = error[error > 0]
-    if positive.size and positive.max() > 30 * np.median(positive):
+    if positive.size and positive.max() > dwarfed * np.median(positive):
         low = float(np.percentile(positive, 1)) / 2
         make_logarithmic(ax, axis, low, 1.2 * float(positive.max()))
     else:

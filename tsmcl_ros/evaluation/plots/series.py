@@ -77,7 +77,8 @@ def median_error_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]
         drawn.append(_percentiles(error, [50])[0])
         ax.plot(stamp - time_origin(vehicles), broken(stamp, drawn[-1]), label=shown(label),
                 linewidth=1.2, **curve_style(index))
-    scale_errors(ax, np.concatenate([np.empty(0), *drawn]))
+    # Medians hardly differ in themselves, so it takes less for one run to dwarf the others.
+    scale_errors(ax, np.concatenate([np.empty(0), *drawn]), dwarfed=8.0)
     ax.margins(x=0.01)
     label_axes(ax, 'time [s]', 'position error [m]')
     add_legend(ax)
@@ -116,9 +117,10 @@ def nees_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]]) -> No
     for dimension in sorted(set(bands.values())):
         ax.axhline(dimension, color=FAINT, linewidth=1.0, linestyle='--',
                    label=f'expected: {dimension}')
-    # What lies far below the band is as good as zero, and would squeeze the rest.
-    lowest, highest = min(low for low, _ in bands), max(highest, *(high for _, high in bands))
-    make_logarithmic(ax, 'y', lowest / 5, 1.5 * highest)
+    # What lies far below the band is as good as zero, and what lies far above as good as infinite;
+    # both would squeeze the rest.
+    lowest, top = min(low for low, _ in bands), max(high for _, high in bands)
+    make_logarithmic(ax, 'y', lowest / 5, min(max(1.5 * highest, 1.5 * top), 1000 * top))
     ax.margins(x=0.01)
     label_axes(ax, 'time [s]', 'NEES')
     add_legend(ax)
