@@ -244,5 +244,5 @@ def test_what_cannot_be_used_of_a_bag_is_named_once(shared_data, tmp_path, capsy
     assert sorted(note.split(',')[0] for note in notes) == [
         'note: header stamps are 4160411.0 s before the time of recording or arrival: epochs and '
         'poses go by the header stamps',
-        'note: left out 126 ranges of id 8',
+        'note: left out ranges',
         'note: skipped what is of type depthai_ros_msgs/msg/SpatialDetectionArray']

@@ -243,11 +243,12 @@ class RangeInput:
         return take
 
 
-def unplaced_note(sender: int, count: int) -> str:
-    """Say what to do about ranges of a sender that nobody has placed."""
+def unplaced_note(counts: Mapping[int, int]) -> str:
+    """Say what to do about ranges, so many of each sender, that nobody has placed."""
+    listed = ', '.join(f'{count} of id {sender}' for sender, count in sorted(counts.items()))
     return (
-        f'left out {count} ranges of id {sender}, as nobody tells where it was: give its place in '
-        'anchors, or its topic of poses in references, or leave its ranges out')
+        f'left out ranges, {listed}, as nobody tells where these are: give their places in '
+        'anchors, or their topics of poses in references, or leave their ranges out')
 
 
 def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:

@@ -490,16 +490,17 @@ def ranged(names=('/veh_0',)):
         for stamp in np.arange(0.5, 10.0, 0.5).tolist():
             for number, corner in enumerate(CORNERS[:, :2], start=1):
                 distance = float(np.linalg.norm(place(stamp, vehicle) - corner))
-                rows.append((stamp, f'{name}/uwb/{number}', messages.RANGE, messages.encode_range(
-                    messages.RangeReading(stamp, '', distance, 0, 0, 0.01))))
+                data = messages.encode_range(
+                    messages.RangeReading(stamp, '', distance, 0, 0, 0.01))
+                rows.append((stamp, f'{name}/uwb/n_{number}', messages.RANGE, data))
     return sorted(rows, key=lambda row: row[0])
 
 
 def test_ranges_of_several_vehicles_place_them_and_become_their_beacons(tmp_path):
     names = ('/veh_0', '/veh_1')
     bag = write(tmp_path / 'bag', ranged(names))
-    assert localize(bag, tmp_path / 'out', '--ranges', r'uwb/(\d+)', '--range-calibration', 'off',
-                    '--seed', '1') == 0
+    assert localize(bag, tmp_path / 'out', '--ranges', r'uwb/n_(\d+)',
+                    '--range-calibration', 'off', '--seed', '1') == 0
     for vehicle, name in enumerate(names):
         last = poses(tmp_path / 'out', name)[-1]
         np.testing.assert_allclose(last.position[:2], place(last.stamp, vehicle), atol=1.0)
@@ -512,11 +513,28 @@ def test_who_has_ranges_but_names_none_is_told_how(tmp_path, capsys):
     bag = write(tmp_path / 'bag', ranged())
     assert refused(capsys, bag, tmp_path / 'out') == (
         f'{bag}: has no topic NAMESPACE/beacons of type sensor_msgs/msg/PointCloud2, but of type '
-        'sensor_msgs/msg/Range, /veh_0/uwb/1, /veh_0/uwb/2, /veh_0/uwb/3, /veh_0/uwb/4: name in '
-        'ranges which to use')
+        'sensor_msgs/msg/Range, /veh_0/uwb/n_1, /veh_0/uwb/n_2, /veh_0/uwb/n_3, /veh_0/uwb/n_4: '
+        'name in ranges which to use')
 
 
-def test_a_pattern_that_matches_nothing_is_named(bag, tmp_path, capsys):
+def test_a_pattern_that_matches_nothing_is_named(tmp_path, capsys):
+    bag = write(tmp_path / 'bag', [row for row in drive() if 'beacons' not in row[1]])
     assert refused(capsys, bag, tmp_path / 'out', '--ranges', r'/uwb/(\d+)') == (
         f"{bag}: ranges: '/uwb/(\\d+)' matches no topic of sensor_msgs/msg/Range, of which there "
         'is none')
+
+
+def test_what_only_some_of_the_ranges_need_is_noted(tmp_path, capsys):
+    bag = write(tmp_path / 'bag', ranged())
+    assert localize(bag, tmp_path / 'out', '--ranges', r'uwb/n_(\d+),/ble', '--references',
+                    '9 /robot/pose') == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "note: ranges: '/ble' matches no topic of sensor_msgs/msg/Range, of which there are "
+        '/veh_0/uwb/n_1, /veh_0/uwb/n_2, /veh_0/uwb/n_3, /veh_0/uwb/n_4',
+        'note: references: topic /robot/pose of id 9 is not there, must be one of '
+        '/veh_0/ground_truth, /veh_0/odom']
+
+
+def test_a_namespace_without_beacons_is_named(bag, tmp_path, capsys):
+    assert refused(capsys, bag, tmp_path / 'out', '--namespace', 'veh_9') == (
+        f'{bag}: has no topic /veh_9/beacons')

@@ -48,10 +48,11 @@ class Discovery:
                          if self._node.get_publishers_info_by_topic(topic)}
             for line in self._ranges.unmet(published, namespace):
                 self._node.get_logger().warning(f'{line}; still looking')
-        for sender, count in self._ranges.unplaced.items():
-            if count >= _ENOUGH and sender not in self._told:
-                self._told.add(sender)
-                self._node.get_logger().warning(unplaced_note(sender, count))
+        news = {sender: count for sender, count in self._ranges.unplaced.items()
+                if count >= _ENOUGH and sender not in self._told}
+        if news:
+            self._told.update(news)
+            self._node.get_logger().warning(unplaced_note(news))
 
     def _listen(self, topic: str, kind: str, handler: Callable[[bytes], None]) -> None:
         try:

@@ -69,6 +69,8 @@ class Outcome:
         Topics of the old bag whose types nobody defines, and these types.
     lag : float
         By how much the header stamps are before the log times at first [s], NaN if there are none.
+    missing : sequence of str
+        What ranges and references ask for in vain, a line each.
     unplaced : mapping of int to int
         How many ranges of which sender were of no use, as nobody tells where it is.
     rejected : Counter of (topic, reason)
@@ -80,6 +82,7 @@ class Outcome:
     restarts: int = 0
     undecodable: Mapping[str, str] = field(default_factory=dict)
     lag: float = math.nan
+    missing: Sequence[str] = ()
     unplaced: Mapping[int, int] = field(default_factory=dict)
     rejected: Counter[tuple[str, str]] = field(default_factory=Counter)
     _first: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -104,8 +107,9 @@ class Outcome:
             yield f'skipped what is of type {kind}, which nobody defines: {", ".join(topics)}'
         if note := lag_note(self.lag):
             yield note
-        for sender, count in sorted(self.unplaced.items()):
-            yield unplaced_note(sender, count)
+        yield from self.missing
+        if self.unplaced:
+            yield unplaced_note(self.unplaced)
         if self.restarts:
             yield f'started anew where time jumped, {self.restarts} times'
         for (topic, reason), count in self.rejected.most_common(_MAX_REASONS):
@@ -166,6 +170,7 @@ def localize_bag(
             {name: value for name, value in settings.items() if name not in own}, len(names))
         endpoint = Endpoint(localizer, names, frame_id, inputs)
         takers = wire(endpoint, names, remapping, reader)
+        outcome.missing = endpoint.ranges.unmet(reader.topics)
         kept = copies(names, remapping, reader.topics)
         wanted = kept.keys() | takers.keys()
         about = {

@@ -89,22 +89,27 @@ def wire(endpoint: Endpoint, names: Sequence[str], remapping: Remapping, reader:
     Raises
     ------
     BagError
-        If what ranges and references ask for is not in the bag.
+        If there is nothing to locate a vehicle by.
     """
-    topics = dict(reader.topics)
+    topics = reader.topics
     ranges = endpoint.ranges.discover(topics)
-    if lines := endpoint.ranges.unmet(topics):
-        raise BagError(f'{reader.path}: {"; ".join(lines)}')
     wires: dict[str, list[tuple[str, Callable[[bytes], None]]]] = defaultdict(list)
+    heard = {topic for topic, (kind, _) in ranges.items() if kind == messages.RANGE}
     homes = {absolute(name, home): home for home in names for name in _LISTENED}
     for topic, taker in endpoint.inputs.items():
         source = remapping.of(topic, homes.get(topic, '/')) or topic
         if source in topics:
             wires[source].append(taker)
+            if topic.endswith('/beacons'):
+                heard.add(source)
     for topic, taker in ranges.items():
         wires[topic].append(taker)
-    if wires and not any(reader.counts[topic] for topic in wires):
-        raise BagError(f'{reader.path}: has no message on {", ".join(sorted(wires))}')
+    if not heard:
+        missing = endpoint.ranges.unmet(topics) or [
+            f'has no topic {absolute("beacons", name)}' for name in names]
+        raise BagError(f'{reader.path}: {"; ".join(missing)}')
+    if not any(reader.counts[topic] for topic in heard):
+        raise BagError(f'{reader.path}: has no message on {few(sorted(heard))}')
     return dict(wires)
 
 
@@ -152,10 +157,11 @@ def vehicles(reader: Reader, inputs: InputConfig) -> list[str]:
         if topic.endswith('/beacons') and topic != '/beacons' and kind == messages.POINT_CLOUD]
     names = {topic.removesuffix('/beacons') for topic in topics}
     patterns = compiled('ranges', inputs.ranges)
-    if patterns:
-        names |= {
-            home for topic, kind in reader.topics.items() if kind == messages.RANGE
-            for pattern in patterns if (home := _home(pattern, topic))} or {'/'}
+    names |= {
+        home for topic in of_kinds(reader.topics, [messages.RANGE])
+        for pattern in patterns if (home := _home(pattern, topic))}
+    if patterns and not names:
+        return ['/']
     if not names:
         ranges = of_kinds(reader.topics, [messages.RANGE])
         raise BagError(
