@@ -15,11 +15,13 @@ from std_msgs.msg import Header
 
 # Where the anchors stand [m], by id; the vehicle of this example stands at (3, 4).
 ANCHORS = {1: (0.0, 0.0, 0.0), 2: (10.0, 0.0, 0.0), 3: (0.0, 10.0, 0.0), 4: (10.0, 10.0, 0.0)}
-ROW = np.dtype([('x', 'f4'), ('y', 'f4'), ('z', 'f4'), ('id', 'u4'), ('range', 'f4'),
-                ('range_std', 'f4')])
-KINDS = {'f': PointField.FLOAT32, 'u': PointField.UINT32}
-FIELDS = [PointField(name=name, offset=offset, datatype=KINDS[kind.kind], count=1)
-          for name, (kind, offset) in ROW.fields.items()]
+COLUMNS = ('x', 'y', 'z', 'id', 'range', 'range_std')
+ROW = np.dtype([(name, 'u4' if name == 'id' else 'f4') for name in COLUMNS])
+FIELDS = [
+    PointField(name=name, offset=4 * number, count=1,
+               datatype=PointField.UINT32 if name == 'id' else PointField.FLOAT32)
+    for number, name in enumerate(COLUMNS)
+]
 
 
 def measure() -> dict[int, float]:

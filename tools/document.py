@@ -146,9 +146,10 @@ def _cells(item: Parameter) -> list[str]:
 
 def _live(item: Parameter, nodes: Sequence[Executable]) -> str:
     """Return in which nodes, if not in all that have it, it can change while they run."""
-    running = [node for node in nodes if node.adjustable is not None]
-    live = [f'`{node.name}`' for node in running if item.name in node.adjustable]
-    return 'yes' if live and len(live) == len(running) else ', '.join(live)
+    live = {node.name: item.name in node.adjustable for node in nodes
+            if node.adjustable is not None}
+    return 'yes' if live and all(live.values()) else ', '.join(
+        f'`{name}`' for name, can in live.items() if can)
 
 
 def _escaped(text: str) -> str:
