@@ -197,6 +197,15 @@ def test_a_looped_bag_starts_the_localizer_anew():
     assert [scan.stamp for _, scan in scans][-2:] == [1.0, 2.0]
 
 
+def test_ranges_to_several_anchors_may_share_a_topic_and_a_stamp():
+    endpoint, handlers, scans = listen('/uwb', ranges=('/uwb',), anchors=ANCHORS)
+    for frame_id in ('anchor_5', 'anchor_6'):
+        handlers['/uwb'](measured(1.0, frame_id=frame_id))
+    assert senders(endpoint, scans) == [[5, 6]]
+    with pytest.raises(MessageError, match='must be after the last one'):
+        handlers['/uwb'](measured(1.0, frame_id='anchor_6'))
+
+
 def test_a_range_that_goes_back_is_refused():
     _, handlers, _ = listen('/uwb/n_7/n_5', ranges=(PAIR,), anchors=ANCHORS)
     handlers['/uwb/n_7/n_5'](measured(5.0))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 import math
 
-from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -342,6 +342,8 @@ DECODERS = {
     messages.RANGE: messages.decode_range,
     messages.CLOCK: messages.decode_clock,
     messages.UINT32: messages.decode_period,
+    messages.POSE_STAMPED: lambda data: messages.decode_any_pose(messages.POSE_STAMPED, data),
+    'odometry as a pose': lambda data: messages.decode_any_pose(messages.ODOMETRY, data),
     'odometries': lambda data: messages.decode_odometries([data]),
     'poses': lambda data: messages.decode_poses([data]),
 }
@@ -354,6 +356,8 @@ VALID = {
     messages.RANGE: messages.encode_range(messages.RangeReading(3.5, 'n', 7.5, 0.5, 50.0, 0.25)),
     messages.CLOCK: messages.encode_clock(1.5),
     messages.UINT32: messages.encode_period(5),
+    messages.POSE_STAMPED: serialize_message(PoseStamped()),
+    'odometry as a pose': odometry_at(1.0)[0],
     'odometries': odometry_at(1.0)[0],
     'poses': pose_message(),
 }

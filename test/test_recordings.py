@@ -228,6 +228,10 @@ def test_turtlebot1_is_localized_among_others_better_than_its_ranges_err(tiers):
     assert run.anchors.tolist() == [pytest.approx([5.30, 6.18, 0.0])]
 
 
+def test_turtlebot1_is_never_called_lost_and_nobody_is_suspected(tiers):
+    assert complaints(tiers) == []
+
+
 def test_poses_have_the_stamps_of_the_radios_not_of_the_recording(tiers):
     with Reader(tiers) as reader:
         message = next(reader.messages(['/pose']))

@@ -124,8 +124,6 @@ class Gatherer:
         Positions of the anchors [m].
     references : dict of int to Track
         Where the moving references have been.
-    latest : list of dict of str to float
-        By vehicle, the stamp of the last range of each topic [s].
     unplaced : Counter of int
         How many ranges of each sender were left out, as nobody tells where it is or was.
     """
@@ -134,23 +132,32 @@ class Gatherer:
         self._period, self._max_age = period, max_age
         self.anchors: dict[int, Array] = {}
         self.references: dict[int, Track] = {}
-        self.latest: list[dict[str, float]] = [{} for _ in range(vehicles)]
+        # The stamp of the last range of each topic, by vehicle, and of each sender on it [s].
+        self._passed: list[dict[str, float]] = [{} for _ in range(vehicles)]
+        self._last: dict[tuple[int, str, int], float] = {}
         self.unplaced: Counter[int] = Counter()
         self._pending: dict[int, dict[float, list[Reading]]] = {}
 
     def reset(self) -> None:
         """Forget all ranges and poses; topics, references and anchors stay."""
         self._pending.clear()
-        self.latest = [dict.fromkeys(topics, -math.inf) for topics in self.latest]
+        self._passed = [dict.fromkeys(topics, -math.inf) for topics in self._passed]
+        self._last.clear()
         self.references = {sender: Track() for sender in self.references}
 
     def expect(self, vehicle: int, topic: str) -> None:
         """Let epochs wait for a vehicle's topic."""
-        self.latest[vehicle].setdefault(topic, -math.inf)
+        self._passed[vehicle].setdefault(topic, -math.inf)
+
+    def last(self, vehicle: int, topic: str, sender: int) -> float:
+        """Return the stamp of the last range to a sender on a topic [s], -inf without any."""
+        return self._last.get((vehicle, topic, sender), -math.inf)
 
     def add(self, vehicle: int, topic: str, reading: Reading) -> None:
         """Take in one reading of a topic; a range of NaN says only that time has passed."""
-        self.latest[vehicle][topic] = reading.stamp
+        self._last[vehicle, topic, reading.sender] = reading.stamp
+        passed = self._passed[vehicle]
+        passed[topic] = max(passed.get(topic, -math.inf), reading.stamp)
         if not math.isnan(reading.range):
             number = float(period_number(reading.stamp, self._period))
             self._pending.setdefault(vehicle, {}).setdefault(number, []).append(reading)
@@ -186,7 +193,7 @@ class Gatherer:
         """
         moved = min((track.latest for track in self.references.values()), default=math.inf)
         for vehicle, pending in self._pending.items():
-            passed = min(moved, min(self.latest[vehicle].values()))
+            passed = min(moved, min(self._passed[vehicle].values()))
             for number in sorted(pending):
                 begin = number * self._period
                 if passed < begin + self._period and now < begin + max_wait:

@@ -218,7 +218,8 @@ class RangeInput:
         reading = messages.decode_range(data)
         for vehicle, text in whose:
             sender = _sender(reading.frame_id if text is None else text, text is not None)
-            self._localizer.admit('range', reading.stamp, self._gatherer.latest[vehicle][topic])
+            self._localizer.admit(
+                'range', reading.stamp, self._gatherer.last(vehicle, topic, sender))
             self.gather()
             self._gatherer.add(vehicle, topic, Reading(
                 reading.stamp, sender, reading.range, math.sqrt(reading.variance)))

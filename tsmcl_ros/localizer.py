@@ -55,8 +55,8 @@ class LocalizerConfig(Config):
     dimension: int = param(2, 'coordinates to estimate', choices=(2, 3))
     seed: int = param(0, 'seed of all randomness: same bag and seed, same bits', low=0)
     max_wait: float = param(
-        0.5, 'how long an epoch waits for odometry and for other vehicles of a fleet',
-        unit='s', low=0.0, live=True)
+        0.5, 'how long an epoch waits for odometry, topics of ranges, and other vehicles of a '
+        'fleet', unit='s', low=0.0, live=True)
     outage_period: float = param(
         2.0, 'without beacons, predict this often; 0 for never', unit='s', low=0.0, live=True)
     outage_predictor: str = param(
