@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 from pathlib import Path
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from tsmcl_ros.traces.bonnmotion import read_bonnmotion
@@ -98,3 +100,21 @@ def test_more_waypoints_than_memory_holds_are_refused(write, monkeypatch) -> Non
     monkeypatch.setattr('tsmcl_ros.traces.files._MOST_NUMBERS', 10)
     with pytest.raises(LogError, match=r'3 vehicles have 3 waypoints .* makes 18 coordinates'):
         read_bonnmotion(write(PLANE), 3)
+
+
+@settings(max_examples=100)
+@given(st.lists(st.lists(st.tuples(
+    st.floats(0.01, 1e3), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)), min_size=2, max_size=4),
+    min_size=1, max_size=3))
+def test_whatever_is_written_is_read_back(tmp_path_factory, nodes) -> None:
+    path = tmp_path_factory.mktemp('written') / 'movements'
+    ways = [np.array(rows) for rows in nodes]
+    for way in ways:
+        way[:, 0] = np.cumsum(way[:, 0])
+        way[0, 0] = 0.0
+    path.write_text('\n'.join(' '.join(map(repr, way.ravel().tolist())) for way in ways))
+    trace = read_bonnmotion(path, len(ways))
+    for number, way in enumerate(ways):
+        there = way[:, 0] <= trace.stamp[-1]
+        index = np.searchsorted(trace.stamp, way[there, 0])
+        np.testing.assert_allclose(trace.position[index, number], way[there, 1:], atol=1e-6)

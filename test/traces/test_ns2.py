@@ -94,6 +94,8 @@ def test_height_is_kept_when_asked_for(write) -> None:
     ('$ns_ at 9.0 "$node_(0) set X_ 5.0"', r':13: .*set X_ 5.0.* is not understood, expected'),
     ('hello', r":13: 'hello' is not understood"),
     ('$node_(0) set X_ east', r":13: 'east' is not a finite number"),
+    ('$node_(0) set X_ 1e300', r':13: 1e300 is not allowed, must be within 1e\+12'),
+    ('$ns_ at 9.0 "$node_(0) setdest 1 1 1e-300"', r': who goes 41.8115 m at 1e-300 m/s'),
     ('$ns_ at nan "$node_(0) setdest 1 1 1"', r":13: 'nan' is not a finite number"),
     ('$ns_ at 1.0 "$node_(0) setdest 1 1 1"', r':13: time 1 s of \$node_\(0\) does not come af'),
     ('$ns_ at 9.0 "$node_(0) setdest 1 1 -2"', r':13: speed -2 m/s is not allowed, must be at l'),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 import gzip
 
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from tsmcl_ros.traces import FOLLOW, READERS, recognise, TraceConfig
@@ -43,3 +46,18 @@ def test_vehicles_follow_the_same_way_in_every_format(tmp_path, kind, file) -> N
 def test_a_missing_file_is_refused(tmp_path) -> None:
     with pytest.raises(LogError, match='none: cannot read the trace: No such file'):
         recognise(tmp_path / 'none')
+
+
+PIECES = st.sampled_from([
+    '$node_(0) set X_ ', '$node_(1) set Y_ ', '$ns_ at ', ' "$node_(0) setdest ', '"', '\n', ' ',
+    '0', '1', '-3.5', 'nan', '1e308', '#', '<fcd-export>', '\x00', '\u2028', '$god_ '])
+
+
+@pytest.mark.parametrize('kind', READERS)
+@given(pieces=st.lists(PIECES, max_size=30))
+def test_no_text_is_worse_than_refused(tmp_path_factory, kind, pieces) -> None:
+    path = tmp_path_factory.mktemp('text') / 'trace'
+    path.write_text(''.join(pieces))
+    with suppress(LogError):
+        trace = READERS[kind](path, 1)
+        assert np.isfinite(trace.position).all()

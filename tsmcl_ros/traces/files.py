@@ -15,6 +15,7 @@ import numpy as np
 from tsmcl_ros.model.mobility import Trace
 from tsmcl_ros.types import Array, LogError
 
+LARGEST = 1e12  # any time [s], coordinate [m] or speed [m/s]
 FURTHEST = 1e5  # m; beacons carry float32 coordinates, which want a local origin
 _MOST_NUMBERS = 50_000_000  # of a trace in memory, 400 MB
 _GZIP_MAGIC = b'\x1f\x8b'
@@ -94,13 +95,15 @@ class Lines:
 
 
 def number(text: str) -> float:
-    """Return the finite number that a text stands for; raise Refused if it does not."""
+    """Return the number that a text stands for; raise Refused if it is none of this world."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise Refused(f'{text!r} is not a finite number')
+    if abs(value) > LARGEST:
+        raise Refused(f'{text} is not allowed, must be within {LARGEST:g}')
     return value
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from tsmcl_ros.model.mobility import Trace
-from tsmcl_ros.traces.files import Lines, meet, number, place, reading, Refused, Way
+from tsmcl_ros.traces.files import LARGEST, Lines, meet, number, place, reading, Refused, Way
 from tsmcl_ros.types import Array
 
 _SET = re.compile(r'\$node_\((\d+)\) set ([XYZ])_ (\S+?)\s*;?')
@@ -135,6 +135,9 @@ def _way(begin: Array, orders: list[_Order]) -> list[tuple[float, Array]]:
         if distance == 0 or order.speed == 0:
             continue
         arrival = order.stamp + distance / order.speed
+        if min(arrival, end) > LARGEST:
+            raise Refused(f'who goes {distance:g} m at {order.speed:g} m/s arrives after '
+                          f'{LARGEST:g} s')
         if arrival <= end:
             way.append((arrival, target))
         elif end > order.stamp:
