@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 import os
 from pathlib import Path
@@ -14,6 +15,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
+import rclpy
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Empty
@@ -24,7 +26,7 @@ from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.managed import ManagedNode
 from tsmcl_ros.nodes.runtime import LATCHED, LATCHED_INPUT, main, RELIABLE, SENSOR_DATA
-from tsmcl_ros.types import Observation
+from tsmcl_ros.types import ConfigError, Observation
 from visualization_msgs.msg import MarkerArray
 import yaml
 
@@ -241,6 +243,24 @@ def test_live_parameters_hold_at_once_for_the_localizer_and_for_what_is_publishe
     scene.until(lambda: bool(clouds), 'a cloud')
     assert manager.change(DEACTIVATE, CLEANUP)
     assert not scene.probe.count_publishers('/veh_0/particle_cloud')
+
+
+@pytest.mark.parametrize('settings', [(), ('-p', 'method:=ekf', '-p', 'notice_turns:=true',
+                                          '-p', 'motion_model:=random')])
+def test_of_a_node_that_is_closed_or_never_came_about_nothing_stays_on_the_network(
+    ros: Callable[..., None], probe_class: Any, settings: tuple[str, ...],
+) -> None:
+    ros(*settings)
+    with suppress(ConfigError):
+        node = LocalizerNode()
+        assert not settings
+        node.close()
+    rclpy.try_shutdown()
+    ros()
+    probe = probe_class()
+    probe.spin(lambda: bool(probe.count_publishers('/localizer/transition_event')), 0.5)
+    assert not probe.count_publishers('/localizer/transition_event')
+    probe.close()
 
 
 class Signalled(LocalizerNode):

@@ -60,6 +60,7 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
             for transition in (self.trigger_configure, self.trigger_activate):
                 transition()
                 if self._obstacle is not None:
+                    self.close()
                     raise self._obstacle
         self._starts = False
 
@@ -92,6 +93,11 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def run(self) -> None:
         """Handle messages until the node is shut down."""
         self.spin(lambda: self.state == 'finalized')
+
+    def close(self) -> None:
+        """Let go of everything, and of the state's publisher, which rclpy forgets."""
+        super().close()
+        self._state_machine.destroy_when_not_in_use()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let `set_up` create things; take them back if it fails."""
