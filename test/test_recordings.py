@@ -240,6 +240,14 @@ def test_poses_have_the_stamps_of_the_radios_not_of_the_recording(tiers):
     assert time.gmtime(message.stamp)[:2] == (2022, 11)
 
 
+def test_odometry_that_nobody_recorded_is_named(shared_data, tmp_path, capsys):
+    options = [word.replace('/cali/turtle01/odom', '/turtle01/odom') for word in TIERS]
+    assert localize_bag.main(
+        [str(shared_data / 'tiers_bag'), '--out', str(tmp_path / 'out'), *options]) == 0
+    assert ('note: /turtle01/odom, which odom is remapped to, has no messages'
+            in capsys.readouterr().err.splitlines())
+
+
 def test_what_cannot_be_used_of_a_bag_is_named_once(shared_data, tmp_path, capsys):
     assert localize_bag.main([
         str(shared_data / 'tiers_bag'), '--out', str(tmp_path / 'out'), *TIERS,

@@ -70,7 +70,7 @@ class Outcome:
     lag : float
         By how much the header stamps are before the log times at first [s], NaN if there are none.
     missing : sequence of str
-        What ranges and references ask for in vain, a line each.
+        What is asked of the bag in vain, a line each.
     unplaced : mapping of int to int
         How many ranges of which sender were of no use, as nobody tells where it is.
     rejected : Counter of (topic, reason)
@@ -163,14 +163,14 @@ def localize_bag(
         inputs = build(InputConfig, settings)
         remapping = Remapping(remap)
         names = [absolute(name, '/') for name in namespaces] or vehicles(reader, inputs)
-        remapping.check(reader, names)
+        silent = remapping.silent(reader, names)
         outcome = Outcome(len(names), undecodable=reader.undecodable)
         own = {item.name for item in parameters(InputConfig)}
         localizer = Localizer(
             {name: value for name, value in settings.items() if name not in own}, len(names))
         endpoint = Endpoint(localizer, names, frame_id, inputs)
         takers = wire(endpoint, names, remapping, reader)
-        outcome.missing = endpoint.ranges.unmet(reader.topics)
+        outcome.missing = [*silent, *endpoint.ranges.unmet(reader.topics)]
         kept = copies(names, remapping, reader.topics)
         wanted = kept.keys() | takers.keys()
         about = {

@@ -71,14 +71,26 @@ class Remapping:
         target = self._rules.get(name)
         return None if target is None else absolute(target, namespace)
 
-    def check(self, reader: Reader, namespaces: Iterable[str]) -> None:
-        """Hold that the bag has the topics; raise BagError if not."""
-        for name, target in self._rules.items():
-            for namespace in namespaces:
-                if absolute(target, namespace) not in reader.topics:
+    def silent(self, reader: Reader, namespaces: Iterable[str]) -> list[str]:
+        """
+        Return a line for each topic that the bag has without messages.
+
+        Raises
+        ------
+        BagError
+            If the bag does not have one.
+        """
+        lines = []
+        for namespace in namespaces:
+            for name, target in self._rules.items():
+                topic = absolute(target, namespace)
+                if topic not in reader.topics:
                     raise BagError(
-                        f'{reader.path}: has no topic {absolute(target, namespace)}, which '
-                        f'{name} is remapped to; has {few(sorted(reader.topics), 60)}')
+                        f'{reader.path}: has no topic {topic}, which {name} is remapped to; has '
+                        f'{few(sorted(reader.topics), 60)}')
+                if not reader.counts[topic]:
+                    lines.append(f'{topic}, which {name} is remapped to, has no messages')
+        return lines
 
 
 def wire(endpoint: Endpoint, names: Sequence[str], remapping: Remapping, reader: Reader
