@@ -72,6 +72,20 @@ def test_topics_are_discovered_once():
     assert endpoint.ranges.discover(there).keys() == {'/b'}
 
 
+def test_who_is_not_asked_for_a_range_is_not_taken_for_far():
+    estimates = []
+    for radio_range in (0.0, 2.0):
+        endpoint, handlers, _ = listen(
+            '/n_5', ranges=(r'/n_(\d)',), anchors=ANCHORS,
+            settings={'radio_range': radio_range, 'use_heard': False})
+        endpoint.ranges.heed_epoch = endpoint.localizer.beacons
+        for stamp in range(3):
+            handlers['/n_5'](measured(float(stamp), 4.0))
+        endpoint.ranges.gather(math.inf)
+        estimates.append(endpoint.localizer.finish()[-1])
+    assert np.array_equal(estimates[0].mean, estimates[1].mean)
+
+
 # --- whom they name --------------------------------------------------------------------------
 
 def test_a_group_names_the_sender_wherever_the_own_node_stands():

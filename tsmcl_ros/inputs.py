@@ -34,7 +34,7 @@ class InputConfig(Config):
     ranges: tuple[str, ...] = param(
         (), 'topics of sensor_msgs/Range, or regular expressions that match whole ones, relative '
         'to the namespace or absolute; the number in a group names the sender, without a group '
-        'that in frame_id')
+        'that in frame_id; silence is no evidence then')
     range_epoch: float = param(
         0.1, 'ranges of this time are one epoch; the vehicle should move by less than a range '
         'errs in it', unit='s', above=0.0)
@@ -104,6 +104,9 @@ class RangeInput:
             raise ConfigError(
                 f'range_epoch: {config.range_epoch:g} is not allowed, must be at most max_wait, '
                 f'{localizer.config.max_wait:g} s')
+        if config.ranges:
+            # Radios are asked for ranges one after the other: not to be asked is not to be far.
+            localizer.ignore_silence()
         self._patterns = compiled('ranges', config.ranges)
         self._gatherer = Gatherer(len(names), config.range_epoch, config.reference_age)
         self._gatherer.references = {sender: Track() for sender in config.reference_topics}

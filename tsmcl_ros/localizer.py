@@ -254,6 +254,10 @@ class Localizer:
         """
         self._anchors.learn_map(anchors.project(self.config.dimension))
 
+    def ignore_silence(self) -> None:
+        """Take no anchor's silence for evidence, as who is heard is not all who are near."""
+        self._anchors.mode = 'none'
+
     def anchor_links(self, links: Links) -> None:
         """
         Take over how anchors hear each other, by which rssi is calibrated.
