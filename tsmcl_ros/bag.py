@@ -187,16 +187,12 @@ class Writer:
                 )
                 self._bag.open()
                 self._open = True
-                for name, text in (about or {}).items():
-                    self.tell(name, text)
+                for key, value in (about or {}).items():
+                    self._bag.set_custom_data(key, value)
         except KeyboardInterrupt:
             # A signal that waited: nobody else can close what nobody has yet.
             self.close()
             raise
-
-    def tell(self, name: str, text: str) -> None:
-        """Leave something more in the bag about how it is made, until it is closed."""
-        self._bag.set_custom_data(name, text)
 
     def topic(self, name: str, type: str, latched: bool = False) -> None:  # noqa: A002
         """

@@ -303,23 +303,14 @@ def dump_yaml(*configs: Config, commented: bool = True) -> str:
 
     A parameter that several configs inherit stands in it once.
     """
-    values: dict[str, Any] = {}
-    comments: dict[str, str] = {}
+    lines: dict[str, str] = {}
     for config in configs:
         for item in parameters(type(config)):
             unit = f' [{item.unit}]' if item.unit else ''
-            values.setdefault(item.name, getattr(config, item.attribute))
-            comments.setdefault(item.name, f'{item.doc}{unit}; {item.allowed}')
-    return dump_values(values, comments if commented else {})
-
-
-def dump_values(values: Mapping[str, Any], comments: Mapping[str, str] = types.MappingProxyType({})
-                ) -> str:
-    """Return a ROS parameter file of values by name, with comments behind some of them."""
-    behind = {name: f'  # {comment}' for name, comment in comments.items()}
-    lines = [f'    {name}: {_inline(value)}{behind.get(name, "")}'
-             for name, value in values.items()]
-    return '\n'.join(['/**:', '  ros__parameters:', *lines]) + '\n'
+            comment = f'  # {item.doc}{unit}; {item.allowed}' if commented else ''
+            value = _inline(getattr(config, item.attribute))
+            lines.setdefault(item.name, f'    {item.name}: {value}{comment}')
+    return '\n'.join(['/**:', '  ros__parameters:', *lines.values()]) + '\n'
 
 
 def _inline(value: Any) -> str:

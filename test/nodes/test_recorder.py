@@ -108,24 +108,6 @@ def test_a_bag_says_by_which_command_and_parameters_it_was_recorded(
     assert '    exclude: ["/a"]\n' in about['recorder']
 
 
-def test_a_bag_holds_the_parameters_of_those_who_published(
-    probe: Any, start: Start, tmp_path: Path,
-) -> None:
-    clock = probe.talk('/clock', messages.CLOCK, RELIABLE)
-    recorder = record(start, 'use_sim_time:=true')
-    anchor = start('nodes.anchor', '--ros-args', '-p', 'use_sim_time:=true', '-p', 'seed:=5')
-    probe.expect(lambda: clock.get_subscription_count() == 2, 'both')
-    clock.publish(messages.encode_clock(1.0))
-    asked = '/anchor/get_parameters'
-    probe.expect(lambda: probe.count_clients(asked) > 0, 'the question')
-    probe.expect(lambda: probe.count_clients(asked) == 0, 'the answer')
-    assert (anchor.stop(), recorder.stop()) == (0, 0)
-    with Reader(tmp_path / 'bag') as bag:
-        told = bag.about['/anchor']
-    assert '    seed: 5\n' in told
-    assert '    use_sim_time: true\n' in told
-
-
 def test_a_bag_is_never_overwritten(start: Start, tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'precious').write_text('data')

@@ -10,9 +10,8 @@ import sys
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from tsmcl_ros.bag import STORAGES, Writer
-from tsmcl_ros.config import build, Config, dump_values, dump_yaml, param
+from tsmcl_ros.config import build, Config, dump_yaml, param
 from tsmcl_ros.nodes import runtime
-from tsmcl_ros.nodes.inquiry import Inquiry
 from tsmcl_ros.scripts.cli import command_line
 from tsmcl_ros.types import BagError, ConfigError, MessageError
 
@@ -39,8 +38,7 @@ class Recorder(runtime.Node):
     """
     Recorder: writes a rosbag2 of topics as they come, discovering new ones.
 
-    It leaves in the bag the parameters that the nodes who publish what it records had when it met
-    them. A message's log time is when it arrived: by /clock with use_sim_time, so that a bag of an
+    A message's log time is when it arrived: by /clock with use_sim_time, so that a bag of an
     accelerated simulation plays at the simulation's pace, else by the wall clock.
     """
 
@@ -63,8 +61,6 @@ class Recorder(runtime.Node):
             'command': command_line(self.default_name, None),
             self.default_name: dump_yaml(self._config, commented=False),
         })
-        self._inquiry = Inquiry(
-            self, lambda name, values: self._bag.tell(name, dump_values(values)))
         self.get_logger().info(f'recording to {self._config.output}')
 
     def run(self) -> None:
@@ -94,7 +90,6 @@ class Recorder(runtime.Node):
     def _discover(self) -> None:
         """Record the topics that are new and wanted."""
         new = {}
-        self._inquiry.go_on()
         for topic, kinds in sorted(self.get_topic_names_and_types()):
             if topic in self._seen or not self._is_wanted(topic):
                 continue
@@ -102,7 +97,6 @@ class Recorder(runtime.Node):
             if qos is None:
                 continue
             self._seen.add(topic)
-            self._ask_publishers(topic)
             try:
                 new[topic] = kinds[0], qos, self._subscribe(topic, kinds, qos)
             except MessageError as error:
@@ -115,11 +109,6 @@ class Recorder(runtime.Node):
             except BagError as error:
                 self.destroy_subscription(subscription)
                 self.get_logger().warning(f'{topic} is not recorded: {error}')
-
-    def _ask_publishers(self, topic: str) -> None:
-        """Ask those who publish a topic for their parameters, which belong to the recording."""
-        for info in self.get_publishers_info_by_topic(topic):
-            self._inquiry.ask(f'{info.node_namespace.rstrip("/")}/{info.node_name}')
 
     def _is_wanted(self, topic: str) -> bool:
         if self._config.topics:
