@@ -62,7 +62,12 @@ def test_one_command_simulates_localizes_records_evaluates_and_compares(
         assert bag.counts['/anchor_map'] == 1
     metrics = json.loads((out / 'metrics.json').read_text())['bags']
     assert set(metrics['ts_mcl, over DDS']['vehicles']) == {'veh_0', 'veh_1', 'veh_2'}
-    assert '<svg' in (out / 'report.html').read_text()
+    report = (out / 'report.html').read_text()
+    assert '<svg' in report
+    for name, parameter in (('anchor', 'seed: 3'), ('fleet', 'method: ts_mcl'),
+                            ('simulator', 'duration: 20.0')):
+        row = report.split(f'parameters of {name}', 1)[1].split('</tr>', 1)[0]
+        assert parameter in row, row
 
 
 def test_an_interrupted_demo_leaves_a_complete_bag_and_no_process(

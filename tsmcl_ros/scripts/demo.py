@@ -47,10 +47,11 @@ def _demonstrate(arguments: Sequence[str] | None) -> None:
     if out.exists():
         raise ConfigError(f'--out: {out} exists already, must be a folder to be made')
     bag = out / 'bag'
+    nodes = _nodes(options, scenario)
     with Processes(out / 'log') as processes:
-        duration = _simulate(processes, options, scenario, bag)
+        duration = _simulate(processes, options, nodes, bag)
         runs = {f'{options.method}, over DDS': bag} | _compare(processes, options, scenario, bag)
-    _report(options, runs, duration, out, arguments)
+    _report(options, nodes, runs, duration, out, arguments)
 
 
 def _read(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, Scenario]:
@@ -64,8 +65,25 @@ def _read(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, Scenario
     return parser.parse_args(arguments), scenario
 
 
+def _nodes(options: argparse.Namespace, scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes that simulate and localize."""
+    common = {'use_sim_time': True, 'seed': options.seed}
+    fleet = {'vehicles': options.vehicles, 'seed': options.seed}
+    world = {'mobility': 'trace', 'trace': options.trace} if options.trace else {}
+    return {
+        'anchor': {**scenario.anchor, **common},
+        'fleet': {**scenario.fleet, **common, **fleet, 'method': options.method},
+        'simulator': {
+            **scenario.simulator, **fleet, **world, 'duration': options.duration,
+            'rate': options.rate,
+            'wait_for': 2,  # the fleet and the recorder
+        },
+    }
+
+
 def _simulate(
-    processes: Processes, options: argparse.Namespace, scenario: Scenario, bag: Path,
+    processes: Processes, options: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]],
+    bag: Path,
 ) -> float:
     """Record a fleet that is localized over DDS, and return how long it took [simulated s]."""
     os.environ.update(
@@ -73,13 +91,10 @@ def _simulate(
         ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
         ROS_LOG_DIR=str(processes.folder),
     )
-    world = {'mobility': 'trace', 'trace': options.trace} if options.trace else {}
-    fleet = {'vehicles': options.vehicles, 'seed': options.seed}
-    time_of_clock = {'use_sim_time': True}
-    processes.start_node('recorder', time_of_clock | {'output': bag, 'storage': options.storage})
-    processes.start_node('anchor', {**scenario.anchor, **time_of_clock, 'seed': options.seed})
     processes.start_node(
-        'fleet', {**scenario.fleet, **time_of_clock, **fleet, 'method': options.method})
+        'recorder', {'use_sim_time': True, 'output': bag, 'storage': options.storage})
+    for name in ('anchor', 'fleet'):
+        processes.start_node(name, nodes[name])
     try:
         with (
             runtime.session(), closing(Watch(options.vehicles)) as watch,
@@ -90,11 +105,7 @@ def _simulate(
         ):
             # Last, once all that anchors and fleet say gets recorded.
             _await(processes, watch, watch.is_recorded)
-            processes.start_node('simulator', {
-                **scenario.simulator, **fleet, **world, 'duration': options.duration,
-                'rate': options.rate,
-                'wait_for': 2,  # the fleet and the recorder
-            })
+            processes.start_node('simulator', nodes['simulator'])
             _await(processes, watch, lambda: not math.isnan(watch.time))
             _show(bar, watch, processes, options.vehicles)
             duration = watch.time
@@ -155,8 +166,8 @@ def _compare(
 
 
 def _report(
-    options: argparse.Namespace, runs: Mapping[str, Path], duration: float, out: Path,
-    arguments: Sequence[str] | None,
+    options: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]],
+    runs: Mapping[str, Path], duration: float, out: Path, arguments: Sequence[str] | None,
 ) -> None:
     """Print the table and write the report."""
     skip = duration / 2 if options.skip is None else options.skip
@@ -168,6 +179,9 @@ def _report(
         'simulated time': f'{duration:g} s, the first {skip:g} s of it left out',
         'seed': options.seed,
         'recordings': ', '.join(map(str, runs.values())),
+    } | {
+        f'parameters of {name}': ', '.join(f'{key}: {value}' for key, value in given.items())
+        for name, given in nodes.items()
     }, show=show)
     print(f'{", ".join(written)} are in {out}; the first {skip:g} s are left out')
 
@@ -180,6 +194,7 @@ class Processes:
     ----------
     folder
         Where to write what they write.
+
     """
 
     def __init__(self, folder: Path) -> None:
