@@ -93,6 +93,7 @@ class Executable:
     ----------
     process : subprocess.Popen
         The process; standard input is closed.
+
     """
 
     def __init__(self, module: str, arguments: tuple[str, ...], cwd: Path) -> None:

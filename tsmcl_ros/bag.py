@@ -65,6 +65,7 @@ class Reader:
         Log time of the first message, and from it to the last [s].
     about : dict of str to str
         What the bag says of how it was made; see `Writer`.
+
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -75,6 +76,7 @@ class Reader:
         ------
         BagError
             If there is none, or it is empty, damaged, or of an unknown kind.
+
         """
         self.path = Path(path)
         with _readable(self.path):
@@ -115,6 +117,7 @@ class Reader:
         ------
         BagError
             If a topic is not in the bag, or the bag turns out to be damaged on the way.
+
         """
         wanted = set(self.topics if topics is None else topics)
         for topic in sorted(wanted - set(self.topics)):
@@ -167,6 +170,7 @@ class Writer:
         ------
         BagError
             If the path exists or cannot be made, or the storage is unknown.
+
         """
         self.path = Path(path)
         if storage not in STORAGES:
@@ -202,6 +206,7 @@ class Writer:
         ------
         BagError
             If the topic has another type already, or the type is unknown to ROS 2 Jazzy.
+
         """
         known = self._connections.get(name)
         if known is not None:
@@ -226,6 +231,7 @@ class Writer:
         ------
         BagError
             If the bag is closed, the topic not registered, the stamp no time, or the disk fails.
+
         """
         if not self._open:
             raise BagError(f'{self.path}: is closed')

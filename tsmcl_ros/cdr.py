@@ -36,6 +36,7 @@ class Reader:
         Where in the data the next value is looked for, before alignment.
     padding : list of int
         Positions that alignment passed over; senders leave there whatever the memory held.
+
     """
 
     __slots__ = ('data', 'padding', 'position')

@@ -75,6 +75,7 @@ class Parameter:
         ------
         ConfigError
             If the value has another type, or lies outside what is allowed.
+
         """
         if self.type is float and type(value) is int and abs(value) <= sys.float_info.max:
             value = float(value)
@@ -126,6 +127,7 @@ def param(default: Any, doc: str, **constraints: Any) -> Any:
         `unit`, `low` and `high` (inclusive), `above` (exclusive), `choices`, `live` if it may
         change while what it configures runs, and `name` where ROS users know it by one that is
         no identifier (`initial_pose.x`).
+
     """
     return field(default=default, metadata={'doc': doc, **constraints})
 
@@ -187,6 +189,7 @@ def adjust(configs: Iterable[Config], values: Mapping[str, Any]) -> None:
     ------
     ConfigError
         If a value is not allowed, or a parameter that is not live would change; then none does.
+
     """
     changes = []
     for config in configs:
@@ -211,6 +214,7 @@ def refuse_unknown(values: Iterable[str], classes: Iterable[type[Config]], sourc
     ------
     ConfigError
         Naming the source, the unknown name, and the nearest known ones.
+
     """
     known = sorted({item.name for cls in classes for item in parameters(cls)})
     for name in values:
@@ -255,6 +259,7 @@ def given_arguments(namespace: argparse.Namespace, *classes: type[Config]) -> di
     ------
     ConfigError
         If a value is not allowed.
+
     """
     return {
         item.name: item.parse(getattr(namespace, item.name))
@@ -275,6 +280,7 @@ def load_yaml(path: str | Path, node: str = '') -> dict[str, Any]:
     ------
     ConfigError
         If the file is missing or is not a ROS parameter file.
+
     """
     try:
         document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))

@@ -39,6 +39,7 @@ class CsvLog:
         D = 3; an unknown z is zero, an unknown yaw NaN. None where the log has no such file.
     notes : tuple of str
         What was mended in the log, for its user to know.
+
     """
 
     anchors: Observation
@@ -63,6 +64,7 @@ class CsvLog:
         ------
         LogError
             If no beacon is left.
+
         """
         heard = self.rssi >= threshold
         if not heard.any():
@@ -111,6 +113,7 @@ def read_log(path: str | Path, progress: Progress = unshown) -> CsvLog:
     LogError
         If a file is missing, has a bad row, or holds nothing; if an anchor's id comes twice, or
         a beacon's in no row of anchors.csv; if odometry or truth go back in time.
+
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -281,6 +284,7 @@ def read_anchors(path: str | Path) -> Observation:
     ------
     LogError
         If the file is missing, has a bad row or none, or an id comes twice.
+
     """
     table = _read_table(Path(path), _ANCHORS)
     sender = table['id'].astype(np.int64)

@@ -38,6 +38,7 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
         OK, STALE or LOST.
     facts : mapping
         More to tell, the same of all.
+
     """
     health, estimate = localizer.health, localizer.estimate
     placed = np.zeros(len(vehicles), bool)

@@ -69,6 +69,7 @@ class Endpoint:
     ------
     ConfigError
         If the inputs and the localizer do not fit.
+
     """
 
     def __init__(self, localizer: Localizer, names: Sequence[str], frame_id: str = 'map',

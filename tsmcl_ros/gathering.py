@@ -69,6 +69,7 @@ class Track:
         Increasing [s].
     pose : list of ((3,), (3, 3))
         Position [m] and its covariance [m^2].
+
     """
 
     stamp: list[float] = field(default_factory=list)
@@ -126,6 +127,7 @@ class Gatherer:
         Where the moving references have been.
     unplaced : Counter of int
         How many ranges of each sender were left out, as nobody tells where it is or was.
+
     """
 
     def __init__(self, vehicles: int, period: float, max_age: float) -> None:
@@ -170,6 +172,7 @@ class Gatherer:
         ------
         MessageError
             If it comes too late.
+
         """
         track = self.references.setdefault(sender, Track())
         if stamp < track.latest - _MEMORY:  # a looped bag
@@ -190,6 +193,7 @@ class Gatherer:
             Time [s]; at infinity all epochs are complete.
         max_wait : float
             How long after its begin an epoch waits for topics that lag or are silent [s].
+
         """
         moved = min((track.latest for track in self.references.values()), default=math.inf)
         for vehicle, pending in self._pending.items():

@@ -93,6 +93,7 @@ class RangeInput:
     ------
     ConfigError
         If an epoch of ranges is longer than epochs wait.
+
     """
 
     def __init__(self, config: InputConfig, localizer: Localizer, names: Sequence[str],
@@ -147,6 +148,7 @@ class RangeInput:
             Type of each topic that there is, by its absolute name.
         namespace : str
             The node's own.
+
         """
         found: dict[str, tuple[str, Handler]] = {}
         senders = {absolute(topic, namespace): sender
@@ -185,6 +187,7 @@ class RangeInput:
         ------
         MessageError
             If the localizer refuses one of them; the others have been handed over.
+
         """
         if self._localizer.restarts != self._restarts:
             self._restarts = self._localizer.restarts
@@ -263,6 +266,7 @@ def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:
     ------
     ConfigError
         Naming the parameter, if one is none.
+
     """
     expressions = []
     for pattern in patterns:

@@ -110,6 +110,7 @@ class Health:
         Time since the last beacon [s], inf before the first.
     reinitializations : (V,) int
         Times that no particle explained what was heard.
+
     """
 
     status: Array
@@ -139,6 +140,7 @@ class Localizer:
     ------
     ConfigError
         If a value is not allowed or a name is unknown.
+
     """
 
     def __init__(self, settings: Mapping[str, Any], vehicles: int = 1):
@@ -180,6 +182,7 @@ class Localizer:
         ConfigError
             If a value is not allowed, a name is unknown, or a parameter that is not live would
             change; then nothing does.
+
         """
         refuse_unknown(settings, CONFIGS, 'localizer')
         adjust((self.config, self.motion_config, self.method_config, self.radio_config,
@@ -251,6 +254,7 @@ class Localizer:
         ------
         MessageError
             If one id stands in it more than once.
+
         """
         self._anchors.learn_map(anchors.project(self.config.dimension))
 
@@ -268,6 +272,7 @@ class Localizer:
         ------
         MessageError
             If an anchor is not where the map has it.
+
         """
         table = Observation.empty(1, len(links.receiver), links.receiver_position.shape[1], 0.0)
         table.sender[0], table.position[0] = links.receiver, links.receiver_position
@@ -284,6 +289,7 @@ class Localizer:
         MessageError
             If it comes too late, an anchor is not where the map has it, or a vehicle claims to
             be one or to know its place exactly.
+
         """
         stamp = observation.stamp
         self.admit('beacons', stamp, self._passed[vehicle])
@@ -306,6 +312,7 @@ class Localizer:
         ------
         MessageError
             If it comes too late.
+
         """
         self.admit('odometry', odometry.stamp, self._odometry.latest[vehicle])
         self._odometry.add(vehicle, odometry)
@@ -326,6 +333,7 @@ class Localizer:
         ------
         MessageError
             If the message comes too late.
+
         """
         if self._leaps(stamp, latest):
             self._restart()
@@ -388,6 +396,7 @@ class Localizer:
             Odometry positions [m] at its stamp.
         yaw : (V,) float or None
             Odometry yaws [rad].
+
         """
         if position is not None:
             self._odometry.add_all(observation.stamp, position, yaw)

@@ -58,6 +58,7 @@ class Silence:
         [m].
     max_range : (V, S) float32
         Radio range [m], NaN where unknown.
+
     """
 
     known: Array
@@ -90,6 +91,7 @@ class Observation:
         NaN where not measured.
     silent : Silence or None
         Known anchors not heard, where their silence is to count as evidence.
+
     """
 
     stamp: float
@@ -153,6 +155,7 @@ class Observation:
             V and D.
         stamp : float
             [s].
+
         """
         count = np.bincount(vehicle, minlength=vehicles)
         table = cls.empty(vehicles, int(count.max(initial=0)), dimension, stamp)
@@ -228,6 +231,7 @@ class Links:
         [m].
     rssi : (L,) float32
         Received power [dBm].
+
     """
 
     receiver: Array
@@ -279,6 +283,7 @@ class Odometry:
         [m].
     yaw : float
         [rad].
+
     """
 
     stamp: float
@@ -300,6 +305,7 @@ class Motion:
         missing, None if nobody has odometry.
     turn : (V,) float or None
         Change of yaw [rad], where there is a displacement.
+
     """
 
     elapsed: float
@@ -324,6 +330,7 @@ class Prior:
         [rad].
     velocity_std : float or None
         Of each axis of the velocity, around 0 [m/s]; None if unknown.
+
     """
 
     vehicle: int
@@ -364,6 +371,7 @@ class Estimate:
         adds it.
     period_factor : (V,) int or None
         How many beacon periods each vehicle wants between two beacons; None if it does not care.
+
     """
 
     stamp: float
@@ -402,6 +410,7 @@ class Trajectory:
         [rad], NaN where unknown.
     covariance : (T, D, D) float64 or None
         [m^2]; None for ground truth.
+
     """
 
     stamp: Array
@@ -426,6 +435,7 @@ class Progress(Protocol):
             How many there are, None if nobody knows.
         unit, name
             What an item is, and what is done with them.
+
         """
 
 

@@ -120,6 +120,7 @@ class Epoch:
         In the odometry frame [rad].
     observation : Observation
         What the V radios heard.
+
     """
 
     stamp: float
@@ -156,6 +157,7 @@ class World:
     ----------
     schedule : Schedule
         How often each vehicle gets beacons of anchors.
+
     """
 
     def __init__(
@@ -204,6 +206,7 @@ class World:
             If the vehicles replay a trace and it has ended.
         ConfigError
             If the channel has no radio range, or an anchor has the identity of a vehicle.
+
         """
         truth = self.mobility.step(self._config.beacon_period)
         self._periods += 1
@@ -289,6 +292,7 @@ class WheelOdometry:
     state : State
         Where the vehicles start.
     rng : numpy.random.Generator
+
     """
 
     def __init__(self, config: WorldConfig, state: State, rng: np.random.Generator) -> None:
@@ -358,6 +362,7 @@ def receive(
     ------
     ConfigError
         If the channel has no radio range.
+
     """
     vehicles, dimension = position.shape
     sent = senders.vehicle(0).project(dimension)
@@ -396,6 +401,7 @@ def hear_each_other(channel: Channel, anchors: Observation, rng: np.random.Gener
     ------
     ConfigError
         If the channel has no radio range.
+
     """
     position, identity = anchors.position[0], anchors.sender[0]
     receiver, sender, distance = _within(channel.reach, position, position)
@@ -425,6 +431,7 @@ def anchor_table(position: Array, identity: Array | None = None) -> Observation:
     -------
     Observation
         V = 1, K = A, at stamp 0.
+
     """
     anchors, dimension = position.shape
     table = Observation.empty(1, anchors, dimension, stamp=0.0)
@@ -441,6 +448,7 @@ def lay_out(config: AnchorConfig, dimension: int, rng: np.random.Generator) -> A
     ------
     ConfigError
         If anchors are to be listed, and the list is empty or holds what is no position.
+
     """
     if config.anchor_layout == 'list':
         if not config.anchor_positions:
@@ -467,6 +475,7 @@ def make_mobility(settings: Mapping[str, Any], rng: np.random.Generator) -> Mobi
     ------
     ConfigError, LogError
         If a parameter is not allowed; if a trace cannot be read.
+
     """
     world = build(WorldConfig, settings)
     config, make = MOBILITY[world.mobility]
@@ -481,6 +490,7 @@ def make_world(settings: Mapping[str, Any], rng: np.random.Generator) -> World:
     ------
     ConfigError, LogError
         If a parameter is not allowed; if a trace cannot be read.
+
     """
     mobility_rng, anchor_rng, rng = rng.spawn(3)
     mobility = make_mobility(settings, mobility_rng)

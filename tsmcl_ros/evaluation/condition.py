@@ -27,6 +27,7 @@ class Condition:
         How many particles there were, and how many of them counted; NaN where not told.
     suspects : mapping of int to float
         Which share of the diagnoses suspects a sender, by its id; none that nobody suspects.
+
     """
 
     stamp: Array

@@ -54,6 +54,7 @@ class Metrics:
         well), one that falls silent does not; the time before the first estimate counts as well.
     epochs : int
         Number of estimates that were compared.
+
     """
 
     rmse_m: float
@@ -108,6 +109,7 @@ class Comparison:
     left_out : int
         Estimates before the truth's start, after its end, or not finite; what was skipped does
         not count.
+
     """
 
     estimate: Trajectory
@@ -151,6 +153,7 @@ def compare(estimate: Trajectory, truth: Trajectory, skip: float = 0.0,
     -------
     Comparison
         Without epochs if no estimate falls into the evaluated time.
+
     """
     dimension = _common_dimension(estimate, truth)
     known = np.isfinite(truth.position[:, :dimension]).all(axis=1)
@@ -224,6 +227,7 @@ def normalized_error_squared(difference: Array, covariance: Array | None) -> Arr
         Estimate minus truth [m].
     covariance : (E, D, D) float or None
         P [m^2]; without it the NEES is NaN.
+
     """
     if covariance is None:
         return np.full(len(difference), np.nan)

@@ -40,6 +40,7 @@ class Outcome(NamedTuple):
         Columns of the CSV file, the same for any number of processes.
     seconds : float
         Processor time of what is to be timed [s].
+
     """
 
     rows: Mapping[str, Array]
@@ -87,6 +88,7 @@ class Finding:
         What mathematics allows, empty where it is not known.
     verdict : str
         Such as 'reached', or why not.
+
     """
 
     claim: str
@@ -108,6 +110,7 @@ class Report:
         How many columns say what a row is about.
     findings : list of Finding
         The claims, judged.
+
     """
 
     table: list[list[str]]
@@ -170,6 +173,7 @@ def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
     ------
     TsmclError
         If a process was killed.
+
     """
     cases = experiment.cases()
     tasks = [(case, run) for case in range(len(cases)) for run in range(runs)]
@@ -203,6 +207,7 @@ def bootstrap_interval(statistic: Callable[[Array], float], samples: Array,
         Between 0 and 1.
     draws : int
         Resamplings.
+
     """
     rng = np.random.default_rng(0)
     units = samples.shape[-1]

@@ -33,6 +33,7 @@ class Samples:
         The anchor that each is from.
     distance, rssi : (B,) float64
         Horizontal distance [m] and received power [dBm].
+
     """
 
     sender: Array
@@ -64,6 +65,7 @@ def gather(log: CsvLog, min_distance: float = 0.5) -> Samples:
     ------
     LogError
         If the log has no truth, or no such beacon.
+
     """
     if log.truth is None:
         raise LogError('has no truth.csv, which tells the distances to fit to')
@@ -97,6 +99,7 @@ def fit(distance: Array, rssi: Array) -> Fit:
     LogError
         If there are too few beacons, or what fits is no path loss: rssi has to fall with the
         distance.
+
     """
     count = len(rssi)
     if count < MIN_BEACONS:
@@ -139,6 +142,7 @@ def fit_anchors(samples: Samples, progress: Progress = unshown
     ------
     LogError
         If there is no pooled fit.
+
     """
     pooled = fit(samples.distance, samples.rssi)
     single, left = {}, {}

@@ -51,6 +51,7 @@ class Run:
         How those vehicles that said so were doing, in the evaluated time.
     about : mapping of str to str
         What the bag says of how it was made, see `tsmcl_ros.bag.Writer`.
+
     """
 
     label: str
@@ -107,6 +108,7 @@ def read_runs(path: str | Path, label: str | None = None, skip: float = 0.0,
         time.
     MessageError
         If a pose or a ground truth is malformed; the text names bag and topic.
+
     """
     about, topics, messages = _read(path, progress)
     truths = {_namespace(topic): topic for topic in _named(topics, 'ground_truth', ODOMETRY)}

@@ -49,6 +49,7 @@ def write_report(path: str | Path, runs: Sequence[Run], command: str,
         Mean over the runs, for the table's last row.
     progress : Progress
         Shows the drawing.
+
     """
     text = render(runs, command, parameters, mean, progress)
     Path(path).write_text(text, encoding='utf-8')

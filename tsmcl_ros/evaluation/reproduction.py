@@ -40,6 +40,7 @@ def write_reproduction(folder: Path, names: Sequence[str], page: Path) -> list[s
     ------
     TsmclError
         If there are no results at all, or a file is not one of an experiment.
+
     """
     documents = {name: read_document(folder / f'{name}.json') for name in names
                  if (folder / f'{name}.json').is_file()}

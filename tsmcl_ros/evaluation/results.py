@@ -42,6 +42,7 @@ def write_results(folder: Path, name: str, experiment: Experiment, results: Sequ
     -------
     list of str
         Names of the files; the figure is missing where matplotlib is.
+
     """
     _write_rows(folder / f'{name}.csv', results)
     document = {
@@ -78,6 +79,7 @@ def read_results(folder: Path, name: str, experiment: Experiment
     ------
     TsmclError
         If there are none, none of this experiment at this size, or not the rows of all runs.
+
     """
     path = folder / f'{name}.json'
     document = read_document(path)
@@ -101,6 +103,7 @@ def read_document(path: Path) -> dict[str, Any]:
     ------
     TsmclError
         If it is not one.
+
     """
     try:
         document = json.loads(path.read_text(encoding='utf-8'))
@@ -123,6 +126,7 @@ def prepare_folder(folder: Path) -> None:
     ------
     OSError
         If they cannot.
+
     """
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder):
@@ -148,6 +152,7 @@ def _read_rows(path: Path, leads: Sequence[list[str]]) -> list[dict[str, Array]]
     ------
     TsmclError
         If they are others, or not such rows.
+
     """
     try:
         with path.open(encoding='utf-8', newline='') as file:

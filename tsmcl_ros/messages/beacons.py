@@ -96,6 +96,7 @@ def decode_beacons(data: bytes) -> tuple[Observation, str]:
         If the bytes are not a beacon scan, or say what cannot be true: a position that is not
         finite or beyond 100 km, a negative or infinite measurement, an unknown kind or number of
         hops, a covariance that is none, or an anchor's id that somebody else claims too.
+
     """
     stamp, frame_id, cloud = read_cloud(data, _read_layout)
     rows = _unify(cloud)

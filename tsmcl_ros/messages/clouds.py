@@ -87,6 +87,7 @@ def parse_layout(
     MessageError
         If a required field is missing, or one comes twice, has another datatype than those
         allowed or lies outside of its row, or the rows are big-endian.
+
     """
     count, = reader.values('I')
     found: dict[str, tuple[int, int]] = {}

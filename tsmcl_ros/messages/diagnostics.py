@@ -25,6 +25,7 @@ class Diagnosis:
         Who says it, what it is in words, and of which piece of hardware.
     values : mapping of str to str
         The numbers behind it.
+
     """
 
     level: int
@@ -58,6 +59,7 @@ def decode_diagnostics(data: bytes) -> tuple[float, list[Diagnosis]]:
     ------
     MessageError
         If the bytes are no diagnostics.
+
     """
     reader = cdr.Reader(data)
     stamp, _ = read_header(reader)

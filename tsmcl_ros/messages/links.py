@@ -41,6 +41,7 @@ def decode_links(data: bytes) -> tuple[Links, str]:
         If the bytes are not such links, or say what cannot be true: a position or rssi that is
         not finite, a position beyond 100 km, an anchor that hears itself or has two positions, a
         peer without a position, or a link that comes twice.
+
     """
     _, frame_id, cloud = read_cloud(
         data, lambda reader: parse_layout(reader, _FIELDS, tuple(_FIELDS)))

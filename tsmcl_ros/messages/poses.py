@@ -46,6 +46,7 @@ class Pose:
         [rad]; NaN if its variance says that it was not measured.
     covariance : (6, 6) float64
         Of x, y, z and the rotations about them [m^2, m rad, rad^2].
+
     """
 
     stamp: float
@@ -63,6 +64,7 @@ def decode_odometry(data: bytes) -> Odometry:
     ------
     MessageError
         If the bytes are not odometry, or the pose is not finite.
+
     """
     reader = cdr.Reader(data)
     stamp, _ = read_header(reader)
@@ -87,6 +89,7 @@ def encode_odometry(
         The pose is that of the child in the frame.
     velocity
         In the child frame, up to three axes [m/s].
+
     """
     writer = cdr.Writer()
     write_header(writer, odometry.stamp, frame_id)
@@ -105,6 +108,7 @@ def decode_pose(data: bytes) -> Pose:
     ------
     MessageError
         If the bytes are not such a pose, or a number is not finite, or the covariance none.
+
     """
     return decode_any_pose(POSE, data)
 
@@ -148,6 +152,7 @@ def encode_pose(
         [m^2].
     yaw, yaw_variance
         [rad, rad^2]; NaN if not measured.
+
     """
     dimension = len(mean)
     full = np.diag([UNMEASURED] * 6)

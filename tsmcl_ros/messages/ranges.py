@@ -29,6 +29,7 @@ class RangeReading:
         Limits of the radio [m]; max_range is NaN if the driver left both at zero.
     variance : float
         [m^2], NaN where unknown.
+
     """
 
     stamp: float
@@ -50,6 +51,7 @@ def decode_range(data: bytes) -> RangeReading:
     ------
     MessageError
         If the bytes are not such a reading, or the distance is negative.
+
     """
     reader = cdr.Reader(data)
     stamp, frame_id = read_header(reader)

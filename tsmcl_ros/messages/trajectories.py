@@ -27,6 +27,7 @@ def decode_poses(messages: Sequence[bytes]) -> Trajectory:
     ------
     MessageError
         Naming the first message that is malformed, in another frame, or goes back in time.
+
     """
     trajectory, covariance = _decode_trajectory(messages, strings=1, tail=0)
     return replace(trajectory, covariance=covariance[:, :3, :3].copy())

@@ -102,6 +102,7 @@ class Cooperative(CooperativeFilter):
             Of the kept samples (V, K).
         mean : (V, 2) float64
             Of the kept samples [m].
+
         """
         ranging, count = rings.ranging, self.config.reference_samples
         vehicles, references = rings.used.shape

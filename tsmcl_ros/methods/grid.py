@@ -54,6 +54,7 @@ class Grid:
     ConfigError
         If the motion model or the dimension is not one that a grid can hold, or the area has
         too many cells.
+
     """
 
     Config = GridConfig

@@ -85,6 +85,7 @@ class Messages:
         Standard deviation of the kernels [m].
     girth : (V, K) float32
         Mean length of the ring [m]: density on the plane against density of distance.
+
     """
 
     ranging: Ranging

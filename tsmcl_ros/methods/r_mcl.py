@@ -114,6 +114,7 @@ class RMcl(RedrawingFilter):
         (V,) float
             Log of the mean likelihood of their candidates; -inf for a vehicle that keeps its
             particles, as nothing of its prediction is likely.
+
         """
         explained = np.full(len(which), -np.inf)
         self.draws = np.zeros(len(which), np.int64)
@@ -147,6 +148,7 @@ class RMcl(RedrawingFilter):
         states : (W, C, D + extra) float32
         likelihood : (W, C) float32
             Log of it, of all that was heard; -inf where the motion does not lead.
+
         """
         dimension, count = self.cloud.dimension, mass.shape[1] * self.config.candidates
         # Far from where the motion leads masses are smaller than a float inverts.

@@ -77,6 +77,7 @@ class TsMcl(ParticleFilter):
         -------
         (V, N) float32
             The log-likelihood of the repaired particles.
+
         """
         particles = self.cloud.particles
         log_likelihood = evidence.log_likelihood(particles)
@@ -116,6 +117,7 @@ class TsMcl(ParticleFilter):
             Positions [m]; those above the aspiration threshold are left alone.
         log_likelihood : (M,) float32
             Of each.
+
         """
         config, rng = self.config, self.rng
         if config.neighbourhood_scale > 0:

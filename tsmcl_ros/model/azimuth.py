@@ -31,6 +31,7 @@ class AzimuthLead:
     threshold : float
         The azimuth of the filter's position is appended to the series where it differs by more
         than this [rad] from the grey prediction, and is more certain.
+
     """
 
     def __init__(self, vehicles: int, dimension: int, threshold: float):
@@ -57,6 +58,7 @@ class AzimuthLead:
             From where they are seen [m].
         which : (V,) bool
             Of whom.
+
         """
         rows = self._history.learn(stamp, mean, covariance, which)
         self._station[rows] = station[rows]
@@ -77,6 +79,7 @@ class AzimuthLead:
             As predicted by the motion; the first D components are the position.
         which : (V,) bool
             Who is not heard.
+
         """
         predicted, variance = grey_azimuth(self._history, self._station, stamp)
         which = which & np.isfinite(variance)
@@ -120,6 +123,7 @@ def grey_azimuth(history: History, station: Array, stamp: float) -> tuple[Array,
     -------
     azimuth, variance : (V,) float
         [rad], not wrapped; [rad^2], above 0, infinite where the history is too short.
+
     """
     series, time, known = history.last(VALUES)
     seen = series[:, :, :2] - station[:, None]

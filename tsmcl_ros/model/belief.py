@@ -30,6 +30,7 @@ class Sight:
         Its derivative by the state.
     variance : (V,) float
         What is uncertain of it beside the first order in the state.
+
     """
 
     expected: Array
@@ -47,6 +48,7 @@ class Sight:
             The beliefs [m, m^2].
         position, known : (V, D), (V, D, D) float
             The references, and how well their positions are known [m, m^2].
+
         """
         expected, slope, variance = gaussian.range_to(mean, covariance, position)
         return cls(expected, slope, variance + gaussian.innovation_variance(
@@ -79,6 +81,7 @@ class Beliefs:
         The same at the belief's best: a broad belief has no worse one; and of how many terms.
     doubtful : (V,) bool
         Whether most measurements were taken for outliers.
+
     """
 
     def __init__(self, vehicles: int, size: int, dimension: int, outlier_fraction: float):
@@ -119,6 +122,7 @@ class Beliefs:
             What was expected.
         measured, variance : (V,) float
             What was measured, and how well.
+
         """
         residual = np.where(used, measured - sight.expected, 0)
         expected = gaussian.innovation_variance(
@@ -169,6 +173,7 @@ class Beliefs:
             Of the position [m, m^2].
         rest : (n - D,) and (n - D, n - D) float
             Mean and covariance of the rest of the state.
+
         """
         size = self.dimension
         self.mean[vehicle, :size], self.mean[vehicle, size:] = mean, rest[0]

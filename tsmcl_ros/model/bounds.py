@@ -35,6 +35,7 @@ class Bound:
         Whether it is about anchors that were not heard.
     logarithmic : bool
         Whether the edge is soft on a logarithmic scale of distance, as under shadowing.
+
     """
 
     sender: Array
@@ -60,6 +61,7 @@ def bounds(channel: Channel, observation: Observation, measured: Array) -> Itera
         Of V vehicles.
     measured : (V, K) bool
         Rows that hold a measurement, which says more than that they were heard.
+
     """
     radius = channel.radius(observation.max_range, observation.sender)
     heard = observation.heard & (radius > 0) & ~measured & channel.switches.use_heard

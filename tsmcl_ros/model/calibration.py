@@ -30,6 +30,7 @@ class RangeCalibration:
         Initial offset [m].
     max_spread : float
         Vehicles less certain than this standard deviation [m] do not take part.
+
     """
 
     def __init__(self, scale: float, bias: float, max_spread: float = 5.0):
@@ -59,6 +60,7 @@ class RangeCalibration:
             Made from it.
         std : (V, K) float
             Standard deviation of each range [m].
+
         """
         variance = np.trace(estimate.covariance, axis1=1, axis2=2)
         used = observation.heard & ~np.isnan(observation.range)

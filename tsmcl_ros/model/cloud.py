@@ -78,6 +78,7 @@ class Cloud:
         Each vehicle's sum to 1.
     placed : (V,) bool
         False for a vehicle that never heard a beacon.
+
     """
 
     def __init__(self, config: CloudConfig, motion: MotionModel, vehicles: int, dimension: int,
@@ -163,6 +164,7 @@ class Cloud:
             For those drawn anew.
         spared : (V,) bool, optional
             Vehicles whose clouds are not.
+
         """
         excluded = self.excluded(evidence, log_likelihood)
         if spared is not None:
@@ -189,6 +191,7 @@ class Cloud:
         -------
         (W, N) int
             Which candidates the particles are.
+
         """
         index = systematic_resample(weights, self.weights.shape[1], self.rng)
         self._take(vehicle, candidates, index)
@@ -218,6 +221,7 @@ class Cloud:
             Where all particles were before [m].
         bandwidth : float
             Of the kernels, in standard deviations of the predicted cloud.
+
         """
         before, now, weights = predicted[vehicle], self.particles[vehicle], self.weights[vehicle]
         count = min(_KERNELS, weights.shape[1])
@@ -335,6 +339,7 @@ class ParticleFilter:
     vehicles, dimension : int
         V and D.
     rng : numpy.random.Generator
+
     """
 
     def __init__(self, config: CloudConfig, channel: Channel, motion: MotionModel,

@@ -28,6 +28,7 @@ class Deviations:
     deviation : (V, R) float
         By how many standard deviations it contradicts, of all that is uncertain: belief,
         reference and measurement; 0 where it agrees.
+
     """
 
     sender: Array
@@ -49,6 +50,7 @@ def deviations(channel: Channel, observation: Observation, mean: Array, covarian
         Of V vehicles.
     mean, covariance : (V, D), (V, D, D) float
         The predicted belief [m, m^2]; NaN where there is none.
+
     """
     known = np.isfinite(mean).all(axis=1)
     belief = (np.where(known[:, None], mean, 0),

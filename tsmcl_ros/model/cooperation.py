@@ -47,6 +47,7 @@ class Proposal:
         How far the estimate moved where the search for them has not come to its end [m].
     grain : (W,) float
         Standard deviation of the kernel that each stands for [m].
+
     """
 
     exact: ClassVar[bool] = True  # whether the score is the evidence's own log-likelihood
@@ -80,6 +81,7 @@ class CooperativeFilter(ParticleFilter):
     ------
     ConfigError
         If the dimension is not 2.
+
     """
 
     def __init__(self, config: CooperationConfig, channel: Channel, motion: MotionModel,
@@ -132,6 +134,7 @@ class CooperativeFilter(ParticleFilter):
             How far the estimates of those without a belief moved to the last [m].
         scored : (W, N) float32
             The log-likelihoods that the proposal gave what the particles were drawn from.
+
         """
         self.settled[vehicle] = ~proposal.unsettled.any(axis=1)
         placed = self.cloud.placed[vehicle]

@@ -29,6 +29,7 @@ class CloudDensity:
         Whitened.
     parents : (V, C) int
         The particles that the centres come from.
+
     """
 
     mean: Array
@@ -65,6 +66,7 @@ class CloudDensity:
         Returns
         -------
         log_density, parent : (V, P)
+
         """
         white = (points - self.mean) @ self.whitening
         half = (np.square(white).sum(axis=2)[:, :, None] / 2

@@ -40,6 +40,7 @@ def guard(observation: Observation, mean: Array, covariance: Array, strength: fl
         Their last estimates [m, m^2]; NaN where there is none.
     strength : float
         A factor on q: 1 as above, more to be warier, 0 for no guard.
+
     """
     rows = observation.heard & (observation.kind == VEHICLE)
     if strength == 0 or not rows.any():
@@ -71,6 +72,7 @@ class Hearsay:
     ----------
     covariance : (V, D, D) float64
         Of the inherited errors [m^2].
+
     """
 
     def __init__(self, vehicles: int, dimension: int):
@@ -95,6 +97,7 @@ class Hearsay:
             Of normal errors that would tell as much as the ranges' [m].
         ranged : (V, K) bool
             The rows whose range counts.
+
         """
         known = np.isfinite(estimate.mean).all(axis=1)
         self.covariance[estimate.reinitialized | ~known] = 0
@@ -170,6 +173,7 @@ def refuse_certainty(observation: Observation) -> None:
     ------
     MessageError
         Naming the first one that does.
+
     """
     rows = observation.heard & (observation.kind == VEHICLE)
     if not rows.any():

@@ -49,6 +49,7 @@ class References:
         [m^2]; None if all are exactly known.
     least : (V, E, 1) float32 or None
         The smallest variance along any line of sight [m^2].
+
     """
 
     position: Array
@@ -96,6 +97,7 @@ class References:
             From the references [m].
         squared : array that broadcasts to (V, E, P)
             Their lengths, squared [m^2].
+
         """
         covariance, axes = self.covariance, range(len(sight))
         assert covariance is not None
@@ -241,6 +243,7 @@ class Evidence:
         False for a vehicle that heard nothing; its likelihood is 1 everywhere.
     region : callable
         Returns `reach`; it is seldom asked for.
+
     """
 
     factors: tuple[Factor, ...]

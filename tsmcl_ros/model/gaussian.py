@@ -37,6 +37,7 @@ class Fix(NamedTuple):
     solved : (V,) bool
         False where there are less than D + 1 ranges, or the anchors lie so nearly on one line (in
         space: in one plane) that a mirror image would fit as well.
+
     """
 
     position: Array
@@ -61,6 +62,7 @@ def multilaterate(reference: Array, distance: Array, variance: Array, used: Arra
         Measured distances [m, m^2].
     used : (V, K) bool
         The rows that count.
+
     """
     vehicles, rows, dimension = reference.shape
     used = used & np.isfinite(distance) & (variance > 0)
@@ -145,6 +147,7 @@ def update(mean: Array, covariance: Array, gradient: Array, residual: Array, var
     trust : (V,) float
         Probability that the measurement is sound. The outcome has the moments of the mixture of
         both beliefs (probabilistic data association, Bar-Shalom and Tse 1975).
+
     """
     cross = np.einsum('vij,vj->vi', covariance, gradient)
     gain = cross / innovation_variance(covariance, gradient, variance)[:, None]
@@ -183,6 +186,7 @@ def update_by_bound(mean: Array, covariance: Array, gradient: Array, excess: Arr
     mean, covariance
     log_likelihood : (V,) float
         Of the bound under the belief before.
+
     """
     cross = np.einsum('vij,vj->vi', covariance, gradient)
     std = np.sqrt(innovation_variance(covariance, gradient, variance))
@@ -223,6 +227,7 @@ def surprise(position: Array, covariance: Array, reference: Array, distance: Arr
         Measured distances [m, m^2].
     used : (V, K) bool
         The rows that count.
+
     """
     delta = position[:, None] - reference
     expected = np.linalg.norm(delta, axis=2)
@@ -261,6 +266,7 @@ def range_to(position: Array, covariance: Array, reference: Array
         reference itself.
     variance : (V,) float
         Of the second-order terms [m^2].
+
     """
     delta = position - reference
     squared = np.square(delta).sum(axis=1)
@@ -290,6 +296,7 @@ def azimuth_of(position: Array, station: Array) -> tuple[Array, Array]:
         [rad], from -pi to pi.
     gradient : (V, D) float
         [rad/m]; 0 at the station itself, where there is no azimuth.
+
     """
     delta = position - station
     x, y = delta[:, 0], delta[:, 1]

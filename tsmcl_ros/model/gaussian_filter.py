@@ -48,6 +48,7 @@ class GaussianFilter:
         Position, then what the motion model remembers.
     placed : (V,) bool
         False for a vehicle that never heard a beacon.
+
     """
 
     def __init__(self, config: RecoveryConfig, channel: Channel, motion: MotionModel,
@@ -95,6 +96,7 @@ class GaussianFilter:
         -------
         (V,) bool
             Who was lost.
+
         """
         heard = observation.heard.any(axis=1)
         known = self.placed & heard

@@ -21,6 +21,7 @@ class Reach:
         False where padded.
     presence, measured : (V, K, D) float
         By being heard, and by what was measured, along each axis [m]; inf where nothing says so.
+
     """
 
     position: Array
@@ -94,6 +95,7 @@ class Arcs:
     ----------
     middle, half : float32 arrays of one shape
         Direction of the middle and half of the width [rad]; a half of pi is the whole circle.
+
     """
 
     middle: Array

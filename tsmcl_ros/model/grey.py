@@ -39,6 +39,7 @@ def fit_grey(series: Array) -> tuple[Array, Array]:
     -------
     a, b : (...) float64
         Development coefficient, the rate at which the series falls a step, and grey input.
+
     """
     total = np.cumsum(series, axis=-1)
     z = (total[..., 1:] + total[..., :-1]) / 2
@@ -68,6 +69,7 @@ def predict_grey(series: Array, steps: Array | int) -> Array:
     -------
     (...) float64
         Always finite.
+
     """
     series = np.nan_to_num(
         np.asarray(series, np.float64), posinf=_FURTHEST, neginf=-_FURTHEST)
@@ -95,6 +97,7 @@ def predict_azimuth(series: Array, steps: Array | int) -> Array:
     -------
     (...) float64
         [rad], not wrapped: a series that turns on goes beyond pi.
+
     """
     series = np.nan_to_num(np.asarray(series, np.float64), posinf=0.0, neginf=0.0)
     return predict_grey(np.unwrap(series, axis=-1), steps)

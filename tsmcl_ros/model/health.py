@@ -64,6 +64,7 @@ class HealthMonitor:
     ----------
     lost : (V,) float64
         Probability that a vehicle is not where it is believed to be.
+
     """
 
     def __init__(self, config: HealthConfig, vehicles: int):

@@ -30,6 +30,7 @@ class History:
         Time of the last position learned [s], -inf if there is none.
     mean, covariance : (V, D), (V, D, D) float64
         What was learned last [m, m^2].
+
     """
 
     def __init__(self, vehicles: int, dimension: int, slots: int):
@@ -62,6 +63,7 @@ class History:
         -------
         (R,) int
             The vehicles of whom something was learned.
+
         """
         self.pass_time(stamp)
         variance = axis_variance(covariance)
@@ -105,6 +107,7 @@ class History:
             Of the last of them [s].
         known : (V,) bool
             Who has as many in a row.
+
         """
         there = np.isfinite(self.variance)
         size = there.shape[1]

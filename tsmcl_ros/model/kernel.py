@@ -49,6 +49,7 @@ class BallKernel:
         [m].
     radius : float
         [m].
+
     """
 
     centre: Array
@@ -90,6 +91,7 @@ class GaussianKernel:
         What the motion model remembers where a draw meets the centre.
     coupling, remembered_std : float
         What is added per metre off the centre, where extra is D, and the deviation from that.
+
     """
 
     centre: Array

@@ -34,6 +34,7 @@ class Fit:
         n, common to all.
     sigma : (S + 1,) float64
         Shadowing and the error of P_0 together [dB].
+
     """
 
     identity: Array
@@ -57,6 +58,7 @@ def fit_links(links: Links, reference: float, exponent: float, sigma: float,
         How far off n may be; the fewer links, and the more of one length, the more it matters.
     neighbours : int
         So many of a sender's links count, the shortest; 0 for all.
+
     """
     identity, sender, distance, rssi = _shortest(links, neighbours)
     loss = -10 * np.log10(np.maximum(distance, 1e-3))

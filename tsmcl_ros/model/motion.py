@@ -236,6 +236,7 @@ class VelocityMotion:
         change, along, across : float
             Standard deviation of the velocity's noise [m/s], of the position's noise that comes
             with it, and of the rest of the position's noise [m].
+
         """
         tau, std = self.config.speed_decay, self.config.acceleration_std
         forgotten = elapsed / tau if tau > 0 else 0.0
@@ -291,6 +292,7 @@ def motion_model(config: MotionConfig, dimension: int, odometry: bool) -> Motion
         D.
     odometry : bool
         Whether there is odometry, which is what `auto` goes by.
+
     """
     name = config.motion_model
     if name == 'auto':

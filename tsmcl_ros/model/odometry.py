@@ -21,6 +21,7 @@ class OdometryBuffer:
     ----------
     at_epoch : (V, 4) float64
         Position [m] and yaw [rad] at the last epoch, NaN where there is no odometry.
+
     """
 
     def __init__(self, vehicles: int, depth: int = 256):

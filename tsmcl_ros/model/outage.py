@@ -41,6 +41,7 @@ class OutagePredictor:
     grey : bool
         Whether positions are led on by their grey azimuths as well (Zhuo et al.), seen from the
         farthest reference that was heard last.
+
     """
 
     def __init__(self, vehicles: int, dimension: int, grey: bool = False):
@@ -114,6 +115,7 @@ class OutagePredictor:
             [m, m^2].
         lead, pace : (R,) float
             How far their velocity leads [s]; standard deviation of an axis of it [m/s].
+
         """
         history = self.history
         lead, grown, pace = self._ahead(rows, stamp - history.stamp[rows])
@@ -159,6 +161,7 @@ class OutagePredictor:
         -------
         lead, variance, pace : (R,) float
             Displacement per velocity [s]; [m^2]; standard deviation of velocities [m/s].
+
         """
         position, variance = self.history.position[rows], self.history.variance[rows]
         dimension = position.shape[2]

@@ -75,6 +75,7 @@ def omega(residual: Array, q: float = 15.0, alpha: float = 1e6) -> Array:
         See `period_residual`; NaN, that is not known, counts as infinite.
     q, alpha : float
         Largest factor; the residual's scale.
+
     """
     residual = np.where(np.isnan(residual), np.inf, residual)
     with np.errstate(over='ignore'):
@@ -92,6 +93,7 @@ class AirCost:
         M, N.
     max_factor : int
         Largest factor that a period message can tell, omega_max.
+
     """
 
     vehicles: int
@@ -128,6 +130,7 @@ class Schedule:
         Base periods from one beacon to the next.
     localizations, requests : (V,) int
         Messages so far: beacons passed on to each vehicle, and periods that it has asked for.
+
     """
 
     def __init__(self, vehicles: int):

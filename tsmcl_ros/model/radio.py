@@ -124,6 +124,7 @@ class PathLoss:
     ----------
     reference, exponent, sigma : float32 arrays of one shape
         P_0 at 1 m [dBm], n, and sigma_db [dB].
+
     """
 
     reference: Array
@@ -141,6 +142,7 @@ class PathLoss:
         ------
         ConfigError
             If a row of `anchor_path_loss` is not 'id P_0 n sigma_db'.
+
         """
         rows = {}
         for text in radio.anchor_path_loss:
@@ -192,6 +194,7 @@ class Heard:
         True where the sender was heard.
     range, range_std, rssi : (V, A) float32
         [m, m, dBm]; NaN where not measured.
+
     """
 
     mask: Array
@@ -215,6 +218,7 @@ class Channel:
     ----------
     calibration : RangeCalibration
         What `evidence` takes ranges to be; it starts from `radio`.
+
     """
 
     def __init__(self, radio: RadioConfig, switches: EvidenceConfig = EvidenceConfig()):
@@ -277,6 +281,7 @@ class Channel:
         ------
         ConfigError
             If the radio range is unknown.
+
         """
         radio = self.radio
         if self.radio_range <= 0:
@@ -357,6 +362,7 @@ class Channel:
             [m].
         used : (V, K) bool
             False where there is no range that counts.
+
         """
         used = observation.heard & ~np.isnan(observation.range) & self.switches.use_range
         ranges = np.where(used, observation.range, 0)

@@ -32,6 +32,7 @@ class RangeErrors(Protocol):
             [m].
         variance : (V, E, P) float32 or None
             Of the true distance [m^2], as the reference's position is uncertain.
+
         """
 
     def bound(self, least: Array | None) -> Array:
@@ -56,6 +57,7 @@ class GaussianErrors:
     ----------
     std : (V, E, 1) float32
         [m], inf where padded.
+
     """
 
     std: Array
@@ -106,6 +108,7 @@ class AsymmetricErrors:
     ----------
     short, long : (V, E, 1) float32
         Mean of the errors of each sign [m], inf where padded.
+
     """
 
     short: Array
@@ -168,6 +171,7 @@ class Ranging:
         False where padded.
     floor : float
         Share of ranges that may say anything.
+
     """
 
     measures: ClassVar[bool] = True

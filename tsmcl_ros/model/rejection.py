@@ -42,6 +42,7 @@ class RedrawingFilter(ParticleFilter):
         Positions that the last update has drawn of each vehicle, the prediction included.
     predicted : (V,) bool
         Whose particles are a prediction, from parents that are known.
+
     """
 
     def __init__(self, config: CloudConfig, channel: Channel, motion: MotionModel,
@@ -102,6 +103,7 @@ class RejectionFilter(RedrawingFilter):
             What was heard.
         weights : (V,) float
             Mean weight of each vehicle's survivors.
+
         """
         raise NotImplementedError
 
@@ -122,6 +124,7 @@ class RejectionFilter(RedrawingFilter):
         -------
         (V,) bool
             The vehicles of which no particle survived; theirs are left as predicted.
+
         """
         states, weights, dimension = self.cloud.states, self.cloud.weights, self.cloud.dimension
         presence = evidence.presence
@@ -185,6 +188,7 @@ class RejectionFilter(RedrawingFilter):
             Corners [m]; without any mass in it a box gives no valid draws.
         weights : (V,) float
             Of every draw.
+
         """
         kernel = self.kernel()
         mass = self.cloud.weights * kernel.mass(low, high)

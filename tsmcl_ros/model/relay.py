@@ -41,6 +41,7 @@ class RelayConfig(Config):
         ------
         ConfigError
             Naming the first that has.
+
         """
         mine = self.identities(vehicles)
         taken = senders.sender[(senders.sender >= mine[0]) & (senders.sender <= mine[-1])]
@@ -63,6 +64,7 @@ class Poses:
         [m].
     covariance : (V, D, D) float64
         [m^2].
+
     """
 
     stamp: Array
@@ -103,6 +105,7 @@ def vehicle_beacons(config: RelayConfig, poses: Poses) -> Observation:
     -------
     Observation
         One transmitter (V = 1) of a row a vehicle, in their order.
+
     """
     vehicles, dimension = poses.mean.shape
     table = Observation.empty(1, vehicles, dimension, stamp=0.0)
@@ -128,6 +131,7 @@ def relay(heard: Observation, neighbours: Array, radio_range: float) -> Observat
         The vehicles that each vehicle hears, -1 where padded.
     radio_range : float
         [m].
+
     """
     vehicles, _, dimension = heard.position.shape
     vehicle, row = np.nonzero(heard.heard & (heard.kind == ANCHOR) & (heard.hops == 1))

@@ -21,6 +21,7 @@ class Rings:
         The ranges and their error law, in two dimensions.
     arcs : Arcs
         Directions (V, K) from each reference.
+
     """
 
     ranging: Ranging
@@ -44,6 +45,7 @@ class Rings:
             [m].
         direction : (V, K, count) float32
             [rad].
+
         """
         references, ranging = self.ranging.references, self.ranging
         direction = self.arcs.draw(count, rng)
@@ -71,6 +73,7 @@ class Rings:
             Of them, as `References.distance` has it [m].
         log_ranging : (V, K, P) float32
             ln p of the ranges at them, as `Ranging.log_density` has it.
+
         """
         half = self.arcs.half[:, :, None]
         x, y = (points[:, None, :, axis] - position

@@ -23,6 +23,7 @@ class Anchors:
         [m].
     max_range : (A,) float32
         [m], NaN where unknown.
+
     """
 
     identity: Array
@@ -76,6 +77,7 @@ class KnownAnchors:
         All that somebody knows.
     known : (V, A) bool
         Who knows which.
+
     """
 
     def __init__(self, mode: str, vehicles: int, dimension: int):
@@ -96,6 +98,7 @@ class KnownAnchors:
         ------
         MessageError
             If one id stands in it more than once.
+
         """
         identity, first = np.unique(anchors.sender[0], return_index=True)
         if len(identity) < anchors.sender.shape[1]:
@@ -116,6 +119,7 @@ class KnownAnchors:
         ------
         MessageError
             Naming the first one that is not.
+
         """
         index, there = self._map.find(observation.sender)
         vehicle, row = np.nonzero(there)
@@ -148,6 +152,7 @@ class KnownAnchors:
             Where each vehicle was estimated [m]; NaN where it was not.
         reach : (V,) float
             How far from there it may be [m].
+
         """
         if self.mode == 'none':
             return observation

@@ -26,6 +26,7 @@ class Discovery:
         What to.
     heed : callable
         Takes a handler and the message that it is for.
+
     """
 
     def __init__(self, node: runtime.Node, ranges: RangeInput,

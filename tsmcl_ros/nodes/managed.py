@@ -44,6 +44,7 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     ConfigError
         If it starts by itself and its parameters do not allow it. Otherwise the transition fails,
         and the reason is logged.
+
     """
 
     configs: ClassVar[tuple[type[Config], ...]] = (LifecycleConfig,)

@@ -58,6 +58,7 @@ def declare(
     ------
     ConfigError
         If an override has no parameter, or its value is not allowed.
+
     """
     refuse_unknown(
         (name for name in overrides if not name.startswith(_OF_ROS)), configs, '--ros-args',

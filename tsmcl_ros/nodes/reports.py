@@ -22,6 +22,7 @@ class Reports:
         V.
     frame_id : str
         The frame that poses have to be given in.
+
     """
 
     def __init__(self, vehicles: int, frame_id: str) -> None:
@@ -40,6 +41,7 @@ class Reports:
         ------
         MessageError
             If it is malformed, or in another frame.
+
         """
         pose = messages.decode_pose(data)
         if pose.frame_id != self._frame_id:

@@ -96,6 +96,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         Value of each parameter by name, kept up to date.
     follows_clock : bool
         Time is that of /clock (use_sim_time), not the wall's.
+
     """
 
     default_name: ClassVar[str]
@@ -198,6 +199,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
             If the process was asked to end.
         TsmclError
             If a callback raised one that is not a mere MessageError.
+
         """
         end = time.monotonic() + timeout
         while not until():
@@ -265,6 +267,7 @@ class Rejections:
         Takes a line.
     clock
         Returns seconds that never go back.
+
     """
 
     interval = 5.0
@@ -373,6 +376,7 @@ def topic_filter(parameter: str, patterns: Iterable[str]) -> Callable[[str], boo
     ------
     ConfigError
         If one is no regular expression.
+
     """
     expressions = compiled(parameter, patterns)
     return lambda topic: any(
@@ -388,6 +392,7 @@ def message_class(kind: str) -> Any:
     ------
     MessageError
         If the type is not installed.
+
     """
     package, _, name = kind.partition('/msg/')
     try:
@@ -437,6 +442,7 @@ def session(arguments: Sequence[str] = ()) -> Iterator[None]:
     ------
     Misuse, ConfigError
         If the arguments make no sense, or a parameter file cannot be read.
+
     """
     before = {
         number: signal.signal(number, lambda *_: _asked_to_stop.set())

@@ -205,6 +205,7 @@ class Air:
     ----------
     reserved : range
         Identities that anchors may not have, as vehicles have them.
+
     """
 
     def __init__(self, reserved: range) -> None:

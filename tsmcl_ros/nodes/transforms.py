@@ -34,6 +34,7 @@ class Broadcaster:
     ------
     ConfigError
         If tf2_ros is not installed.
+
     """
 
     def __init__(self, node: Node, output: OutputConfig, prefixes: list[str]) -> None:
@@ -77,6 +78,7 @@ def map_to_odom(estimate: Estimate, vehicle: int) -> tuple[Array, float, bool]:
         About the vertical [rad].
     has_odometry : bool
         If not, translation is that of the vehicle itself, and nothing is known of its rotation.
+
     """
     mean = np.append(estimate.mean[vehicle], 0.0)[:3]
     turn = float(estimate.rotation[vehicle])

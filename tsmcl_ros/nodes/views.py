@@ -41,6 +41,7 @@ def markers(
         Of anchors that do not tell theirs [m]; 0 if unknown.
     frame_id
         Of all positions.
+
     """
     header = Header(stamp=_time(estimate.stamp), frame_id=frame_id)
     shown = [Marker(header=header, action=Marker.DELETEALL)]

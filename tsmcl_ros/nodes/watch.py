@@ -26,6 +26,7 @@ class Watch(runtime.Node):
         Stamp of the last vehicle's latest pose [s], NaN before the first.
     localized : int
         Number of vehicles that are not lost.
+
     """
 
     default_name = 'watch'

@@ -42,6 +42,7 @@ def run_script(
         Takes the command line's arguments, None for the process's own.
     arguments
         What to hand it.
+
     """
     try:
         with _interruptible():
@@ -76,6 +77,7 @@ def progress_bar(quiet: bool, **options: Any) -> tqdm[Any]:
         Show it in no case.
     **options
         As tqdm takes them.
+
     """
     return tqdm(disable=True if quiet else None, **{'leave': False, **options})
 

@@ -62,6 +62,7 @@ def read_all(bags: Sequence[str | Path], labels: Sequence[str] = (), skip: float
         If a bag holds nothing to evaluate, or the files of two runs would have the same name.
     MessageError
         If a pose or a ground truth is malformed.
+
     """
     names = list(labels) or [Path(bag).resolve().name for bag in bags]
     if len(set(names)) < len(names) and not labels:
@@ -114,6 +115,7 @@ def write_evaluation(folder: str | Path, runs: Sequence[Run], command: str,
     list of str
         What was written: names of files and folders in `folder`. The report is missing where
         matplotlib is.
+
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -75,6 +75,7 @@ class Outcome:
         How many ranges of which sender were of no use, as nobody tells where it is.
     rejected : Counter of (topic, reason)
         How often messages were rejected; numbers in the reasons are those of the first one.
+
     """
 
     vehicles: int
@@ -158,6 +159,7 @@ def localize_bag(
         If the bag cannot be read or has not what is asked for, or the new one exists.
     ConfigError
         If the settings are not allowed.
+
     """
     with Reader(bag) as reader:
         inputs = build(InputConfig, settings)

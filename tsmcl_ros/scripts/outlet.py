@@ -33,6 +33,7 @@ class Outlet:
         Log time of what is written [s].
     poses : int
         How many were written.
+
     """
 
     def __init__(self, endpoint: Endpoint, names: Sequence[str], writer: Writer):

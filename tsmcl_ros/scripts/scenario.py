@@ -40,6 +40,7 @@ class Scenario(NamedTuple):
         Of the nodes of these names.
     others : mapping of label to mapping
         What else the recording is to be localized with, as changes to the fleet's parameters.
+
     """
 
     anchor: Mapping[str, Any]
@@ -76,6 +77,7 @@ def read_scenario(path: Path) -> Scenario:
     ------
     ConfigError
         If the file cannot be read, or holds a parameter that none of them has.
+
     """
     known = {node: {item.name for config in node.configs for item in parameters(config)}
              for node in NODES}

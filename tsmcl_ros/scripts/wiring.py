@@ -51,6 +51,7 @@ class Remapping:
     ------
     ConfigError
         If one is no rule, nothing listens to its topic, or the topic comes twice.
+
     """
 
     def __init__(self, rules: Sequence[str]) -> None:
@@ -79,6 +80,7 @@ class Remapping:
         ------
         BagError
             If the bag does not have one.
+
         """
         lines = []
         for namespace in namespaces:
@@ -102,6 +104,7 @@ def wire(endpoint: Endpoint, names: Sequence[str], remapping: Remapping, reader:
     ------
     BagError
         If there is nothing to locate a vehicle by.
+
     """
     topics = reader.topics
     ranges = endpoint.ranges.discover(topics)
@@ -134,6 +137,7 @@ def copies(names: Iterable[str], remapping: Remapping, topics: Mapping[str, str]
     ------
     BagError
         If what ground truth is remapped to holds no poses.
+
     """
     kept: dict[str, list[Copy]] = {
         topic: [Copy(topic, kind)] for topic, kind in topics.items()
@@ -163,6 +167,7 @@ def vehicles(reader: Reader, inputs: InputConfig) -> list[str]:
     ------
     BagError
         If there are none.
+
     """
     topics = [
         topic for topic, kind in reader.topics.items()

@@ -53,6 +53,7 @@ def follow(
         If no trace is named.
     LogError
         See the readers.
+
     """
     if not config.trace:
         raise ConfigError("trace: '' is not allowed, must be the path of a trace")
@@ -73,6 +74,7 @@ def recognise(path: str | Path) -> str:
     ------
     LogError
         If the file cannot be read.
+
     """
     first = next(iter(Lines(Path(path))), '')
     return {'<': 'fcd', '$': 'ns2'}.get(first[:1], 'bonnmotion')

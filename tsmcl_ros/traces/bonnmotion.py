@@ -46,6 +46,7 @@ def read_bonnmotion(
         If the file cannot be read or is not such a file, by file and line; if it holds too few
         nodes in the wanted time; if coordinates are beyond 100 km and no local origin is asked
         for.
+
     """
     path = Path(path)
     fields = 't x y z'.split()[:4 if elevation else 3]

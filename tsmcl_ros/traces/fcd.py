@@ -65,6 +65,7 @@ def read_fcd(
         If the file cannot be read or is not such a file, by file and line; if it holds too few
         vehicles in the wanted time; if coordinates are beyond 100 km and no local origin is
         asked for.
+
     """
     path = Path(path)
     steps = _TimeSteps(start, duration, elevation)

@@ -36,6 +36,7 @@ class Way(NamedTuple):
         Strictly increasing [s]; the vehicle is there from the first to the last.
     position : (W, D) float64
         [m].
+
     """
 
     name: str
@@ -80,6 +81,7 @@ class Lines:
     ----------
     number : int
         Of the line read last, from 1.
+
     """
 
     def __init__(self, path: Path) -> None:
@@ -129,6 +131,7 @@ def meet(ways: Sequence[Way], vehicles: int, start: float, duration: float) -> T
     ------
     Refused
         If too few vehicles are there; if they have too many waypoints to be held in memory.
+
     """
     end = start + duration if duration > 0 else math.inf
     there = [way for way in ways if way.stamp[0] <= start and way.stamp[-1] > start
@@ -167,6 +170,7 @@ def place(trace: Trace, path: Path, local_origin: bool) -> Trace:
     ------
     LogError
         If coordinates are beyond 100 km.
+
     """
     if local_origin:
         trace.position[..., :2] -= np.floor(trace.position[..., :2].min(axis=(0, 1)))

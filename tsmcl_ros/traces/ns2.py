@@ -65,6 +65,7 @@ def read_ns2(
         If the file cannot be read or has another statement, by file and line; if it holds too
         few nodes in the wanted time; if coordinates are beyond 100 km and no local origin is
         asked for.
+
     """
     path = Path(path)
     begins: dict[int, Array] = {}

@@ -79,6 +79,7 @@ class AdaptivePeriod:
         Seeds, networks computed together in each, base periods of 1 s.
     nodes : int
         Anchors and vehicles of a network.
+
     """
 
     title: str

@@ -60,6 +60,7 @@ class Beyond:
         Vehicles of each world that the yardsticks, which are slow, are run for.
     near : float
         How much larger than the yardstick's an RMSE may be to count as reached.
+
     """
 
     title = 'range-free error against particles, with and without silence and odometry'

@@ -41,6 +41,7 @@ def follow(world: World, localizer: Localizer, epochs: int, odometry: bool,
         Whether the vehicles have it.
     cooperate : bool
         Whether they broadcast where they take themselves to be; all are to be localized then.
+
     """
     shape = epochs, localizer.vehicles
     error, nees = np.full(shape, np.nan), np.full(shape, np.nan)

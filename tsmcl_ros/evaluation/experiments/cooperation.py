@@ -55,6 +55,7 @@ class Cooperation:
         Targets with a larger standard deviation are no references [m].
     grid_cell : float
         Of the exact filter [m].
+
     """
 
     runs: int = 4

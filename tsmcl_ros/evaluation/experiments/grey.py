@@ -73,6 +73,7 @@ class Grey:
         Time around A in which each second displaces the UAV by Rayleigh(1) metres [s].
     acceleration_std : float
         Of the EKF [m/s^1.5].
+
     """
 
     turn: float

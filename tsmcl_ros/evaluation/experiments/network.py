@@ -29,6 +29,7 @@ class Network:
     ranges : (A + V, A + V) float64
         Measured once for each pair, as by two-way ranging, which both then know [m]; NaN where
         they do not hear each other.
+
     """
 
     anchors: Array
@@ -64,6 +65,7 @@ class Network:
             Of the targets that are references.
         usable : (V,) bool
             Which of them are.
+
         """
         anchors = len(self.anchors)
         position = np.concatenate([self.anchors, np.zeros_like(self.targets)])

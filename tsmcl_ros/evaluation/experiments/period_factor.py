@@ -32,6 +32,7 @@ class PeriodFactor:
         One is varied while the other has the paper's value, 15 or 1e6.
     residuals : int
         Points of each curve, from 0 to 20 m.
+
     """
 
     title = 'the factor of the beacon period against the residual, its shape for q and alpha'

@@ -68,6 +68,7 @@ class Field:
         By which its grid is larger than the field, of whose edge no filter knows [m].
     radius : float
         Of the field [m].
+
     """
 
     runs: int = 6

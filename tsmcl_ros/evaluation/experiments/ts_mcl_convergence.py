@@ -69,6 +69,7 @@ class TsMclConvergence:
         Distances of the two anchors [m].
     lens_vehicles, lens_epochs : int
         Vehicles parked between them in each run, and for how long.
+
     """
 
     title = 'range-free error of TS-MCL against time, with what each kind of evidence is worth'

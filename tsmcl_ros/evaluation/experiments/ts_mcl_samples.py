@@ -52,6 +52,7 @@ class HeardOnly:
         Of the anchors, in radio ranges: 1 lets a vehicle hear three of them.
     grid_cell : float
         Of the exact filter, in radio ranges.
+
     """
 
     title: ClassVar[str]

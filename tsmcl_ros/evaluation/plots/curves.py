@@ -29,6 +29,7 @@ def error_cdf(ax: Axes, errors: Mapping[str, Array]) -> None:
         Where to draw.
     errors : mapping of label to (E,)
         [m].
+
     """
     for index, (label, error) in enumerate(errors.items()):
         ordered = np.sort(error)
@@ -64,6 +65,7 @@ def error_against_epoch(ax: Axes, curves: Mapping[str, Array], quantity: str,
         Off where another plot beside it has the same.
     epoch : str
         What an epoch is, for the axis.
+
     """
     for index, (label, error) in enumerate(curves.items()):
         ax.plot(np.arange(len(error)) + 1, error, label=shown(label), linewidth=1.3,
@@ -100,6 +102,7 @@ def intervals_against(
         With units.
     log : bool
         Both axes are logarithmic; else what is drawn begins at 0.
+
     """
     for index, (label, (x, intervals)) in enumerate(curves.items()):
         value, low, high = np.array(intervals).T

@@ -36,6 +36,7 @@ def status_over_time(ax: Axes, conditions: Mapping[str, Condition], start: float
         Of V vehicles.
     start : float
         From which the time axis counts [s].
+
     """
     if len(conditions) > DISTINCT:
         _draw_shares(ax, conditions, start)

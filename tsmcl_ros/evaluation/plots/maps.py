@@ -48,6 +48,7 @@ def map_view(ax: Axes, vehicles: Mapping[str, Comparison], anchors: Array | None
         Positions [m] of the anchors that are under suspicion.
     upright : int
         Which coordinate goes up: 1 for y, 2 for z, without disks.
+
     """
     plane = [0, upright]
     fleet = len(vehicles) > DISTINCT

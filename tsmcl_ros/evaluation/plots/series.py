@@ -39,6 +39,7 @@ def error_over_time(ax: Axes, vehicles: Mapping[str, Comparison],
         Up to `DISTINCT` get a curve each.
     outages : sequence of (from, to)
         Times [s] without beacons, shaded.
+
     """
     start = time_origin(vehicles)
     if len(vehicles) > DISTINCT:
@@ -70,6 +71,7 @@ def median_error_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]
         Where to draw.
     runs : mapping of label to the run's vehicles
         One curve each.
+
     """
     drawn = []
     for index, (label, vehicles) in enumerate(runs.items()):
@@ -97,6 +99,7 @@ def nees_over_time(ax: Axes, runs: Mapping[str, Mapping[str, Comparison]]) -> No
     runs : mapping of label to the run's vehicles
         One curve each, each from its own start; runs of fleets of different sizes have no band
         in common.
+
     """
     bands: dict[tuple[float, float], int] = {}
     highest = 0.0
@@ -136,6 +139,7 @@ def fleet_series(vehicles: Mapping[str, Comparison], quantity: str) -> tuple[Arr
         V vehicles.
     quantity : str
         `error`, `nees` or `spread`.
+
     """
     return common_series(
         [(part.truth.stamp, getattr(part, quantity)) for part in vehicles.values()],
@@ -163,6 +167,7 @@ def common_series(
         [s].
     values : (V, T) float64
         NaN where a series has nothing to contribute.
+
     """
     stamp = max((each for each, _ in series), key=len, default=np.empty(0))
     common = np.full((len(series), len(stamp)), np.nan)

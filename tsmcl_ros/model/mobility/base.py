@@ -22,6 +22,7 @@ class State:
         [m], [m/s].
     yaw : (V,) float64
         Direction of travel in the plane, east 0, north pi/2 [rad]; a standing vehicle keeps its.
+
     """
 
     position: Array
@@ -74,6 +75,7 @@ class Draws:
         V.
     width : int
         Numbers of a row.
+
     """
 
     def __init__(self, rng: np.random.Generator, vehicles: int, width: int) -> None:

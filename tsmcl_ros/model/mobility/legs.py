@@ -26,6 +26,7 @@ class Legs(ABC):
         How many random numbers a leg takes.
     pause : float
         Time that a vehicle stands at each waypoint [s].
+
     """
 
     duration = math.inf
@@ -70,6 +71,7 @@ class Legs(ABC):
         ------
         ConfigError
             If the elapsed time is negative or not finite.
+
         """
         require_elapsed(elapsed)
         rows = np.arange(self._speed.size)

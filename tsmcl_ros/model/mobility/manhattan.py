@@ -45,6 +45,7 @@ class Manhattan(Legs):
         V, D = 2.
     rng : numpy.random.Generator
         This object's own.
+
     """
 
     def __init__(self, config: ManhattanConfig, vehicles: int, rng: np.random.Generator) -> None:

@@ -54,6 +54,7 @@ class Manoeuvre:
         V, D = 2.
     rng : numpy.random.Generator
         This object's own.
+
     """
 
     duration = math.inf
@@ -90,6 +91,7 @@ class Manoeuvre:
         ------
         ConfigError
             If the elapsed time is negative or not finite.
+
         """
         require_elapsed(elapsed)
         self._since += elapsed

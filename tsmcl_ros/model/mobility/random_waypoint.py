@@ -49,6 +49,7 @@ class RandomWaypoint(Legs):
         V.
     rng : numpy.random.Generator
         This object's own.
+
     """
 
     def __init__(

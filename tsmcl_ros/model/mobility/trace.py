@@ -24,6 +24,7 @@ class Trace:
         [m].
     yaw : (T, V) float64 or None
         [rad]. None if they face where they drive.
+
     """
 
     names: tuple[str, ...]
@@ -48,6 +49,7 @@ class Replay:
         The vehicles' names in the recording.
     duration : float
         Time from the beginning to the end of the trace [s].
+
     """
 
     def __init__(self, trace: Trace, start: float | None = None) -> None:
@@ -82,6 +84,7 @@ class Replay:
             If the elapsed time is negative or not finite.
         LogError
             If the trace ends before.
+
         """
         require_elapsed(elapsed)
         self.state = self._at(self._now + elapsed)
