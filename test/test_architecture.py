@@ -17,11 +17,12 @@ BASE = {'types', 'config'}
 MODEL = BASE | {'model'}
 WORLD = MODEL | {'traces', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
-RECORDS = {'types', 'cdr', 'messages', 'gathering', 'bag', 'csv_log'}
+RECORDS = {'types', 'topics', 'cdr', 'messages', 'gathering', 'bag', 'csv_log'}
 LOWER = WORLD | LOCALIZER | RECORDS | {'inputs', 'endpoint', 'diagnosis'}
 OWN = {
     'types': set(),
     'config': {'types'},
+    'topics': {'types'},
     'cdr': {'types'},
     'messages': {'types', 'cdr'},
     'gathering': {'types'},
@@ -48,6 +49,7 @@ ROS = {
 OTHERS = {
     'types': {'numpy'},
     'config': {'yaml'},
+    'topics': set(),
     'cdr': {'numpy'},
     'messages': {'numpy'},
     'gathering': {'numpy'},

@@ -10,7 +10,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from tsmcl_ros import messages
 from tsmcl_ros.endpoint import Endpoint
-from tsmcl_ros.inputs import InputConfig, match_topic
+from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import ConfigError, MessageError, Observation, VEHICLE
 from tsmcl_ros.types import Odometry as Pose
@@ -41,14 +41,6 @@ def senders(endpoint, scans):
 
 
 # --- which topics ----------------------------------------------------------------------------
-
-@pytest.mark.parametrize(('pattern', 'namespace', 'matches'), [
-    ('/uwb/n_5', '/', True), ('/uwb/n_5', '/veh_0', True), ('/uwb/n', '/', False),
-    ('n_5', '/uwb', True), ('uwb/n_5', '/', True), ('n_5', '/', False), ('n_5', '/u', False),
-    ('/uwb/n_.*', '/veh_0', True), ('(/uwb|/ble)/n_5', '/', True)])
-def test_a_pattern_names_a_whole_topic_from_the_root_or_the_namespace(pattern, namespace, matches):
-    assert bool(match_topic(re.compile(pattern), '/uwb/n_5', namespace)) is matches
-
 
 def test_relative_ranges_are_those_of_each_vehicle():
     endpoint, handlers, scans = listen(

@@ -13,8 +13,9 @@ import math
 import numpy as np
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.inputs import absolute, InputConfig, RangeInput
+from tsmcl_ros.inputs import InputConfig, RangeInput
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.topics import absolute
 from tsmcl_ros.types import Estimate, MessageError, Prior
 
 _MUCH = 1.0  # s, between a message's stamp and the time of its recording or arrival

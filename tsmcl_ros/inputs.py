@@ -19,6 +19,7 @@ from tsmcl_ros import messages
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.gathering import Gatherer, Reading, Track
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.topics import absolute, compiled, few, match_topic, of_kinds
 from tsmcl_ros.types import ANCHOR, Array, ConfigError, MessageError, Observation
 
 Handler = Callable[[bytes], None]
@@ -258,40 +259,6 @@ def unplaced_note(counts: Mapping[int, int]) -> str:
         'anchors, or their topics of poses in references, or leave their ranges out')
 
 
-def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:
-    """
-    Return the regular expressions that topics are named by.
-
-    Raises
-    ------
-    ConfigError
-        Naming the parameter, if one is none.
-
-    """
-    expressions = []
-    for pattern in patterns:
-        try:
-            expressions.append(re.compile(pattern))
-        except re.error as error:
-            raise ConfigError(
-                f'{parameter}: {pattern!r} is not allowed, must be a topic or a regular '
-                f'expression: {error}'
-            ) from None
-    return expressions
-
-
-def match_topic(pattern: re.Pattern[str], topic: str, namespace: str) -> re.Match[str] | None:
-    """Match a whole topic, or all of it that follows the namespace."""
-    home = namespace.rstrip('/') + '/'
-    return pattern.fullmatch(topic) or (
-        pattern.fullmatch(topic, len(home)) if topic.startswith(home) else None)
-
-
-def absolute(topic: str, namespace: str) -> str:
-    """Return the topic's name from the root."""
-    return topic if topic.startswith('/') else f'{namespace.rstrip("/")}/{topic}'
-
-
 def _sender(text: str, is_group: bool) -> int:
     """Return the id that a topic's group or a frame_id names: its last number."""
     numbers = re.findall(r'\d+', text)
@@ -334,14 +301,3 @@ def _position(words: list[str]) -> Array:
 def _topic(words: list[str]) -> str:
     topic, = words
     return topic
-
-
-def of_kinds(topics: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
-    """Return the topics of some types."""
-    return sorted(topic for topic, kind in topics.items() if kind in set(kinds))
-
-
-def few(names: Sequence[str], most: int = 6) -> str:
-    """Name a few, and how many more there are."""
-    shown = ', '.join(names[:most]) or 'none'
-    return shown if len(names) <= most else f'{shown} and {len(names) - most} more'

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import oaconvolve
 from scipy.special import ndtr
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.motion import MotionModel, OdometryMotion, RandomMotion
@@ -93,6 +92,8 @@ class Grid:
     def predict(self, motion: Motion) -> None:
         """Convolve each belief with its motion kernel."""
         if self.belief.size:
+            # Here, as its import takes longer than all others together, which a node starts by.
+            from scipy.signal import oaconvolve
             moved = oaconvolve(self.belief, self._kernels(motion), mode='same', axes=(1, 2))
             self.belief = _normalized(np.maximum(moved, 0))
 

@@ -38,8 +38,8 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from tsmcl_ros import messages
 from tsmcl_ros.config import Config, parameters
-from tsmcl_ros.inputs import compiled
 from tsmcl_ros.nodes.parameters import declare
+from tsmcl_ros.topics import compiled
 from tsmcl_ros.types import ConfigError, MessageError, TsmclError
 
 # Best effort, as drivers publish, but deep: all vehicles' messages of an epoch come at once, and

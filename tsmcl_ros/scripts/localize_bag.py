@@ -22,11 +22,12 @@ from tsmcl_ros.config import (
     parameters,
 )
 from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig
-from tsmcl_ros.inputs import absolute, InputConfig, unplaced_note
+from tsmcl_ros.inputs import InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
 from tsmcl_ros.scripts.outlet import Outlet
 from tsmcl_ros.scripts.wiring import copies, Remapping, vehicles, wire
+from tsmcl_ros.topics import absolute
 from tsmcl_ros.types import MessageError, Progress, unshown
 
 # What a parameter file for the node may hold that has no meaning here.

@@ -9,7 +9,7 @@ from tsmcl_ros import messages
 from tsmcl_ros.bag import Writer
 from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD
 from tsmcl_ros.endpoint import Endpoint, Rest
-from tsmcl_ros.inputs import absolute
+from tsmcl_ros.topics import absolute
 from tsmcl_ros.types import Estimate, Observation
 
 

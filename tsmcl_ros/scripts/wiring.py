@@ -10,7 +10,8 @@ import re
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader
 from tsmcl_ros.endpoint import Endpoint
-from tsmcl_ros.inputs import absolute, compiled, few, InputConfig, match_topic, of_kinds
+from tsmcl_ros.inputs import InputConfig
+from tsmcl_ros.topics import absolute, compiled, few, match_topic, of_kinds
 from tsmcl_ros.types import BagError, ConfigError, Odometry
 
 # Carried over to the new bag, so that it can be evaluated by itself.

@@ -1,0 +1,14 @@
+"""Which topics a name or a pattern stands for."""
+
+import re
+
+import pytest
+from tsmcl_ros.topics import match_topic
+
+
+@pytest.mark.parametrize(('pattern', 'namespace', 'matches'), [
+    ('/uwb/n_5', '/', True), ('/uwb/n_5', '/veh_0', True), ('/uwb/n', '/', False),
+    ('n_5', '/uwb', True), ('uwb/n_5', '/', True), ('n_5', '/', False), ('n_5', '/u', False),
+    ('/uwb/n_.*', '/veh_0', True), ('(/uwb|/ble)/n_5', '/', True)])
+def test_a_pattern_names_a_whole_topic_from_the_root_or_the_namespace(pattern, namespace, matches):
+    assert bool(match_topic(re.compile(pattern), '/uwb/n_5', namespace)) is matches
