@@ -152,7 +152,7 @@ def test_after_cleanup_parameters_can_be_set_and_latched_maps_come_again(
             f'dimension cannot change while the node is {state}: set it after cleanup and before '
             'configure, or restart the node with it')
         assert manager.change(transition)
-    assert not scene.probe.count_publishers('/veh_0/pose')
+    scene.until(lambda: not scene.probe.count_publishers('/veh_0/pose'), 'the end of poses')
     assert manager.set('dimension', 4).startswith('dimension: 4 is not allowed')
     assert manager.set('dimension', 3) == ''
     assert manager.change(CONFIGURE, ACTIVATE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
+import time
 from typing import Any
 
 import pytest
@@ -61,7 +62,12 @@ def test_the_page_of_topics_tells_what_a_node_has(ros, kind) -> None:
     namespace, *arguments = NODES[kind]
     ros('-r', f'__ns:={namespace or "/"}', *arguments)
     node = kind()
+    expected = written(kind.default_name, namespace)
+    end = time.monotonic() + 10
     try:
-        assert declared(node) == written(kind.default_name, namespace)
+        # The network learns of a new node's topics in its own time.
+        while declared(node) != expected and time.monotonic() < end:
+            time.sleep(0.05)
+        assert declared(node) == expected
     finally:
         node.close()
