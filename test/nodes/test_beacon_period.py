@@ -38,6 +38,9 @@ def test_vehicles_in_space_get_beacons_as_often_as_they_ask(
     factors = probe.collect('/veh_0/beacon_period', messages.UINT32, LATCHED_INPUT)
     scans = {i: probe.collect(f'/veh_{i}/beacons', messages.POINT_CLOUD) for i in range(2)}
     odometry = [probe.collect(f'/veh_{i}/odom', messages.ODOMETRY) for i in range(2)]
+    # With the localizer there are two who listen to each vehicle, for whom the simulation waits.
+    for topic, kind in (('beacons', messages.POINT_CLOUD), ('odom', messages.ODOMETRY)):
+        probe.collect(f'/veh_1/{topic}', kind)
     truths = probe.collect('/veh_0/ground_truth', messages.ODOMETRY)
     bad = probe.talk('/veh_1/beacon_period', messages.UINT32, LATCHED)
     bad.publish(messages.encode_period(0))
@@ -50,7 +53,7 @@ def test_vehicles_in_space_get_beacons_as_often_as_they_ask(
     assert not any(odometry)
     simulator = start('nodes.simulator', *given(
         tmp_path / 's.yaml', 'simulator', Simulator.configs, vehicles=2, duration=float(epochs),
-        rate=25.0, beacon_timeout=20.0, wait_for=1))
+        rate=25.0, beacon_timeout=20.0, wait_for=2))
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0
     # Who is found late misses the first ones.
