@@ -59,7 +59,7 @@ def declared(node: Any) -> set[tuple[str, ...]]:
 @pytest.mark.parametrize('kind', NODES)
 def test_the_page_of_topics_tells_what_a_node_has(ros, kind) -> None:
     namespace, *arguments = NODES[kind]
-    # By a name of its own: one that was killed in this domain may still be known by the usual.
+    # By a name of its own: the network may still know others by the usual one.
     ros('-r', f'__ns:={namespace or "/"}', '-r', '__node:=documented', *arguments)
     node = kind()
     try:

@@ -82,11 +82,11 @@ def _of_powers(channel: Channel, belief: tuple[Array, Array], observation: Obser
     if not powered.any():
         return np.zeros(powered.shape)
     loss = channel.path_loss(observation.sender)
-    excess = (loss.reference - np.where(powered, observation.rssi, 0)) / (10 * loss.exponent)
+    measured = loss.log_distance(np.where(powered, observation.rssi, 0))
     expected, variance = _expected(
         belief, observation.position, observation.covariance, logarithmic=True)
     std = 1 / loss.slope
-    return np.where(powered, np.abs(excess - expected) / np.sqrt(std ** 2 + variance), 0)
+    return np.where(powered, np.abs(measured - expected) / np.sqrt(std ** 2 + variance), 0)
 
 
 def _of_bound(belief: tuple[Array, Array], bound: Bound) -> Array:

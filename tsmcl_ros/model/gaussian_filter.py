@@ -131,8 +131,7 @@ class GaussianFilter:
         distance, std, ranged = self.channel.distances(observation)
         powered = self.channel.powered(observation)
         loss = self.channel.path_loss(observation.sender)
-        slope = 10 * loss.exponent
-        excess = (loss.reference - observation.rssi) / slope
+        measured = loss.log_distance(observation.rssi)
         for row in range(ranged.shape[1]):
             reference = observation.position[:, row], observation.covariance[:, row]
             if (used := ranged[:, row] & known).any():
@@ -140,8 +139,8 @@ class GaussianFilter:
                                      std[:, row] ** 2)
             if (used := powered[:, row] & known).any():
                 self.beliefs.measure(
-                    used, self.beliefs.sight(*reference).on_log_scale(), excess[:, row],
-                    (loss.sigma[:, row] / slope[:, row]) ** 2)
+                    used, self.beliefs.sight(*reference).on_log_scale(), measured[:, row],
+                    (loss.sigma[:, row] / (10 * loss.exponent[:, row])) ** 2)
 
     def _bound(self, observation: Observation, known: Array) -> None:
         """Take in who was heard without being measured, and who was silent."""

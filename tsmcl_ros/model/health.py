@@ -100,17 +100,21 @@ class HealthMonitor:
 
     def suspected(self, sender: Array) -> Array:
         """Return which senders, ids (V, R), their vehicles suspect."""
-        suspects = self._pair[self._odds >= math.log(self.config.suspicion)]
         vehicle = np.arange(len(sender))[:, None]
-        return np.asarray(np.isin((vehicle << _ID_BITS) + sender, suspects) & (sender != PADDED))
+        found = np.isin((vehicle << _ID_BITS) + sender, self._suspicious)
+        return np.asarray(found & (sender != PADDED))
 
     def suspects(self) -> list[list[int]]:
         """Return the ids that each vehicle suspects."""
-        pairs = self._pair[self._odds >= math.log(self.config.suspicion)]
         found: list[list[int]] = [[] for _ in self.lost]
-        for pair in pairs.tolist():
+        for pair in self._suspicious.tolist():
             found[pair >> _ID_BITS].append(pair & (1 << _ID_BITS) - 1)
         return found
+
+    @property
+    def _suspicious(self) -> Array:
+        """The pairs of a vehicle and a sender that it suspects."""
+        return self._pair[self._odds >= math.log(self.config.suspicion)]
 
     def _judge_vehicles(self, number: Array, against: Array) -> None:
         """Weigh what (V,) beacons, and how many against it, say of each vehicle's belief."""

@@ -180,7 +180,11 @@ class PathLoss:
     def distance(self, rssi: Array | float) -> Array:
         """Return the distance [m] at which this rssi [dBm] is the mean."""
         with np.errstate(over='ignore'):
-            return np.asarray(10 ** ((self.reference - rssi) / (10 * self.exponent)))
+            return np.asarray(10 ** self.log_distance(rssi))
+
+    def log_distance(self, rssi: Array | float) -> Array:
+        """Return log10 of that distance, which the shadowing leaves normal."""
+        return np.asarray((self.reference - rssi) / (10 * self.exponent))
 
 
 @dataclass(frozen=True, eq=False)
