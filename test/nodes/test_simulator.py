@@ -41,13 +41,18 @@ def simulate(probe: Any, start: Start, epochs: int, rate: float) -> dict[str, li
     """Return what anchors and a simulator with the small world's settings give over DDS."""
     received = collect(probe, SMALL['vehicles'])
     listeners = probe.count_subscribers('/veh_0/odom')
-    anchors = start('nodes.anchor', *overrides(
-        use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
+    probe.expect(lambda: not any(map(probe.count_publishers, received)),
+                 'any earlier simulation to be forgotten')
     # A busy machine is no dead anchor.
     simulator = start('nodes.simulator', *overrides(
         seed=5, beacon_timeout=20.0, wait_for=listeners, rate=rate,
         duration=epochs * SMALL['beacon_period'],
         **{name: value for name, value in SMALL.items() if name not in ANCHORS[:2]}))
+    # It waits for anchors, so that we have found its topics too before it says anything there:
+    # what it knows of us tells it nothing of that.
+    probe.expect(lambda: all(map(probe.count_publishers, received)), "the simulator's topics")
+    anchors = start('nodes.anchor', *overrides(
+        use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0
     probe.expect(lambda: all(len(found) == epochs for found in received.values()),
