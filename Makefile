@@ -28,9 +28,8 @@ lint: $(VENV)/test.stamp  ## the static checks alone: style, docstrings, types
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/mypy
 
-bench: $(VENV)/test.stamp  ## how fast updates, bags and messages are on this machine
-	@for name in filter methods bag codec; do \
-	    $(VENV)/bin/python test/benchmark/$$name.py && echo || exit 1; done
+bench: $(VENV)/bench.stamp  ## how fast it is beside peers and limits; writes docs/performance.md
+	@$(VENV)/bin/python test/benchmark/run.py --out docs/performance.md
 
 clean:  ## remove the environments and what the tools left behind
 	@rm -rf .venv* .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache \
@@ -45,6 +44,12 @@ $(VENV)/demo.stamp: $(SOURCES)
 $(VENV)/test.stamp: $(SOURCES)
 	@tools/environment.sh $(VENV) '$(VERSIONS)' plot,test,check
 	@touch $(VENV)/demo.stamp $@
+
+$(VENV)/bench.stamp: $(SOURCES)
+	@tools/environment.sh $(VENV) '$(VERSIONS)' plot,test,check,bench
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	    'particles>=0.4,<0.5'
+	@touch $(VENV)/demo.stamp $(VENV)/test.stamp $@
 
 $(OLDEST)/test.stamp: $(SOURCES) test/oldest.txt
 	@tools/environment.sh $(OLDEST) '3.12 3.11' plot,test --constraint test/oldest.txt

@@ -35,6 +35,16 @@ EXTRAS = {
         'pytest-timeout>=2.2',
         'pytest-xdist>=3.5',
     ],
+    # What `make bench` holds the filters against.
+    # `particles` itself comes without its dependencies: it wants numpy < 2, and runs with 2.
+    'bench': [
+        'filterpy>=1.4.5,<3',
+        'joblib>=1.3',
+        'numba>=0.61',
+        'pfilter>=0.2.5,<0.3',
+        'scikit-learn>=1.4',
+        'stonesoup>=1.4,<2',
+    ],
     'check': [
         'coverage>=7.10',  # the first that follows subprocesses by itself
         'mypy>=1.18',

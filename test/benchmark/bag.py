@@ -1,9 +1,9 @@
 """
 How fast localize_bag is on a real recording, and where its time goes.
 
-    python test/benchmark/bag.py [LOG]
+    python test/benchmark/run.py bag
 
-LOG is a CSV log folder, by default the robot mower's, ../shared/data/plaza1.
+The recording is the robot mower's, ../shared/data/plaza1.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ from collections.abc import Callable
 import contextlib
 import io
 from pathlib import Path
-import sys
 import tempfile
 from typing import Any
 
+from goals import Section
 from timing import seconds
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Message, Reader, Writer
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.scripts import import_csv
-from tsmcl_ros.scripts.cli import align
 from tsmcl_ros.scripts.localize_bag import localize_bag
 
 LOG = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'plaza1'
@@ -34,14 +33,13 @@ DECODERS: dict[str, Callable[[bytes], Any]] = {
 }
 
 
-def main() -> None:
-    """Print a table."""
-    log = Path(sys.argv[1]) if len(sys.argv) > 1 else LOG
+def measure() -> Section:
+    """Time localize_bag, and each part of its work by itself."""
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder, 'bag')
         with contextlib.redirect_stdout(io.StringIO()):
-            if import_csv.main([str(log), str(bag)]):
-                sys.exit(1)
+            if import_csv.main([str(LOG), str(bag)]):
+                raise SystemExit(1)
         with Reader(bag) as reader:
             recorded = list(reader.messages())
             duration = reader.duration
@@ -51,7 +49,10 @@ def main() -> None:
     rows = [['', 's', 'share', 'times real time']]
     rows += [[name, f'{part:.2f}', f'{100 * part / whole:.0f} %', f'{duration / part:.0f}']
              for name, part in {'localize_bag': whole, **parts}.items()]
-    print(f'{log.name}: {len(recorded)} messages in {duration:.0f} s\n{align(rows)}')
+    return Section(
+        'Bags',
+        f'`localize_bag` on {LOG.name}: {len(recorded)} messages in {duration:.0f} s; by '
+        'processor time.', [rows])
 
 
 def _parts(bag: Path, recorded: list[Message], outs: Any) -> dict[str, float]:
@@ -103,6 +104,3 @@ def _localize(decoded: list[tuple[str, Any]]) -> list[Any]:
         estimates += localizer.due()
     return estimates + localizer.finish()
 
-
-if __name__ == '__main__':
-    main()

@@ -1,7 +1,7 @@
 """
 What messages cost: this package's view of the bytes beside rclpy's objects.
 
-    python test/benchmark/codec.py
+    python test/benchmark/run.py codec
 
 Without rclpy its column stays empty.
 """
@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from goals import Section
 import numpy as np
 from timing import seconds
 from tsmcl_ros import messages
-from tsmcl_ros.scripts.cli import align
 from tsmcl_ros.types import Observation, Odometry
 
 try:
@@ -31,8 +31,8 @@ ROWS = 6
 COUNT = 2000
 
 
-def main() -> None:
-    """Print a table."""
+def measure() -> Section:
+    """Time coding one message of each kind, both ways."""
     scan = Observation.empty(1, ROWS, 3, 1.77e9)
     scan.sender[:] = np.arange(ROWS)
     pose = Odometry(1.77e9, np.array([1.0, 2.0, 0.0]), 0.5)
@@ -60,13 +60,13 @@ def main() -> None:
                 _each(lambda data=data, kind=kind: deserialize_message(data, kind))]
         rows.append([name, *(f'{1e6 * cell:.1f}' for cell in cells),
                      *[''] * (len(rows[0]) - 1 - len(cells))])
-    print(align(rows))
+    return Section(
+        'Codec',
+        "Bytes to arrays and back: this package's views beside rclpy's message objects, a message "
+        f'at a time, by processor time. Beacons have {ROWS} rows.', [rows])
 
 
 def _each(work: Callable[[], Any]) -> float:
     """Return the time of one call [s]."""
     return seconds(lambda: [work() for _ in range(COUNT)]) / COUNT
 
-
-if __name__ == '__main__':
-    main()

@@ -1,7 +1,7 @@
 """
 How long an epoch takes by each method, and how far off its estimates are then.
 
-    python test/benchmark/methods.py
+    python test/benchmark/run.py methods
 
 The vehicles drive among six anchors that they range to 2 m, each a reference in every epoch, with
 odometry; particle filters have 200 particles. An epoch is all that the localizer does with it.
@@ -13,11 +13,11 @@ from __future__ import annotations
 from statistics import median
 import time
 
-from filter import COMMON, WORLD
+from fleets import COMMON, WORLD
+from goals import Section
 import numpy as np
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.scripts.cli import align
 from tsmcl_ros.world import make_world
 
 SPECIAL = {'grid': {'grid_cell': 5.0, 'grid_x_max': 3000.0, 'grid_y_max': 2000.0}}
@@ -25,8 +25,8 @@ FLEETS = (1, 40)
 EPOCHS, SETTLING = 60, 20
 
 
-def main() -> None:
-    """Print a table."""
+def measure() -> Section:
+    """Time every method, alone and in a fleet."""
     rows = [['method', *(f'V = {count}' for count in FLEETS), 'median error']]
     for name in METHODS:
         cells, errors = [], []
@@ -37,7 +37,11 @@ def main() -> None:
             each, errors = _run(name, vehicles)
             cells.append(f'{1e3 * each:.2f} ms a vehicle')
         rows.append([name, *cells, f'{median(errors):.1f} m'])
-    print(align(rows))
+    return Section(
+        'Methods',
+        'An epoch by each method, by processor time, and the median error then: six anchors, '
+        'ranged to 2 m, with odometry; particle filters have 200 particles, the grid cells of '
+        '5 m.', [rows])
 
 
 def _run(method: str, vehicles: int) -> tuple[float, list[float]]:
@@ -59,6 +63,3 @@ def _run(method: str, vehicles: int) -> tuple[float, list[float]]:
                 np.linalg.norm(estimate.mean - epoch.position, axis=1).tolist())
     return median(times), errors
 
-
-if __name__ == '__main__':
-    main()

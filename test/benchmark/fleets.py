@@ -1,7 +1,7 @@
 """
 How long an update takes: one vehicle with 200 particles and 6 references, and fleets.
 
-    python test/benchmark/filter.py
+    python test/benchmark/run.py fleets
 
 The vehicles drive among six anchors; each is a reference in every epoch, heard or silent. An
 update is all that the localizer does with an epoch: silence, odometry, prediction, the method.
@@ -14,10 +14,10 @@ from __future__ import annotations
 from statistics import median
 import time
 
+from goals import Section
 import numpy as np
 from timing import seconds
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.scripts.cli import align
 from tsmcl_ros.world import Epoch, make_world
 
 PARTICLES = 200
@@ -38,8 +38,8 @@ FLEETS = {1: 300, 40: 100, 1000: 10}
 SETTLING = 30
 
 
-def main() -> None:
-    """Print a table."""
+def measure() -> Section:
+    """Time updates of fleets of several sizes."""
     headings = ['an update, and of it a particle', *(f'V = {count}' for count in FLEETS)]
     cells: dict[str, list[str]] = {name: [] for name in [*METHODS, 'random numbers']}
     for vehicles, count in FLEETS.items():
@@ -50,7 +50,11 @@ def main() -> None:
             localizer.anchor_map(anchors)
             cells[name].append(_cell(_update(localizer, epochs), vehicles))
         cells['random numbers'].append(_cell(_floor(vehicles), vehicles))
-    print(align([headings, *([name, *texts] for name, texts in cells.items())]))
+    return Section(
+        'Fleets',
+        f'An update of {PARTICLES} particles by 6 references, by processor time: all that the '
+        "localizer does with an epoch. The floor is drawing the prediction's two random numbers.",
+        [[headings, *([name, *texts] for name, texts in cells.items())]])
 
 
 def _update(localizer: Localizer, epochs: list[Epoch]) -> float:
@@ -74,6 +78,3 @@ def _cell(time_taken: float, vehicles: int) -> str:
     each = 1e9 * time_taken / vehicles / PARTICLES
     return f'{1e3 * time_taken:.3f} ms {each:7.1f} ns'
 
-
-if __name__ == '__main__':
-    main()
