@@ -470,6 +470,17 @@ def test_a_vehicle_hears_the_poses_of_others_in_range_and_never_its_own() -> Non
     assert heard_of_vehicles(epoch.observation) == [[1], [0], []]
 
 
+def test_a_fleet_hears_the_poses_of_all_others_in_range() -> None:
+    position, place, distance = random_case(500, 300)
+    heard = standing(position, 80.0, anchor_table(place)).step(poses=known(position)).observation
+    near = np.linalg.norm(position[:, None] - position, axis=2) <= 80.0
+    np.fill_diagonal(near, False)
+    offset = RelayConfig().vehicle_id_offset
+    expected = [np.append(np.flatnonzero(anchors), offset + np.flatnonzero(vehicles)).tolist()
+                for anchors, vehicles in zip(distance <= 80.0, near, strict=True)]
+    assert [row[row >= 0].tolist() for row in heard.sender] == expected
+
+
 def test_a_vehicle_claims_where_it_believes_to_be_and_is_heard_from_where_it_is() -> None:
     world = standing(measure_range=True, range_std=1e-3, odom_noise=0.0)
     observation = world.step(poses=known(VEHICLES + [0, 7000])).observation

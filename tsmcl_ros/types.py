@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[Any]
+# Rows of an observation: whose each is, (M,) int in increasing order, and what they say by field.
+Rows = tuple[Array, Mapping[str, Array]]
 T = TypeVar('T')
 
 ANCHOR, VEHICLE = 0, 1
@@ -157,23 +159,40 @@ class Observation:
             [s].
 
         """
-        count = np.bincount(vehicle, minlength=vehicles)
-        table = cls.empty(vehicles, int(count.max(initial=0)), dimension, stamp)
-        # They are sorted by vehicle, so they fill the table's rows in its own order.
-        place = np.arange(table.sender.shape[1]) < count[:, None]
-        for name, values in rows.items():
-            getattr(table, name)[place] = values
-        return table
+        return cls._assemble([(vehicle, rows)], vehicles, dimension, stamp)
 
     @classmethod
     def join(cls, parts: Sequence[Observation]) -> Observation:
         """Return what the same V vehicles heard in several ways, one after the other."""
-        heard = np.concatenate([part.heard for part in parts], axis=1)
-        vehicle, row = np.nonzero(heard)
-        return cls.tabulate(vehicle, {
-            name: np.concatenate([getattr(part, name) for part in parts], axis=1)[vehicle, row]
-            for name in _ROW_FIELDS
-        }, len(heard), parts[0].position.shape[2], parts[0].stamp)
+        first, *others = parts
+        return first.followed_by([part.rows() for part in others])
+
+    def followed_by(self, parts: Sequence[Rows]) -> Observation:
+        """Return it with further rows of its vehicles behind those that it has."""
+        vehicles, _, dimension = self.position.shape
+        return self._assemble([self.rows(), *parts], vehicles, dimension, self.stamp)
+
+    @classmethod
+    def _assemble(cls, parts: Sequence[Rows], vehicles: int, dimension: int, stamp: float
+                  ) -> Observation:
+        """Put each vehicle's rows of all the parts behind each other."""
+        counts = np.array([np.bincount(vehicle, minlength=vehicles) for vehicle, _ in parts])
+        width = int(counts.sum(axis=0).max(initial=0))
+        table = cls.empty(vehicles, width, dimension, stamp)
+        column, end = np.arange(width), np.zeros((vehicles, 1), int)
+        for (_, rows), count in zip(parts, counts, strict=True):
+            begin, end = end, end + count[:, None]
+            # They are sorted by vehicle, so they fill the table's rows in its own order.
+            place = np.flatnonzero((begin <= column) & (column < end))
+            for name, values in rows.items():
+                whole = getattr(table, name)
+                whole.reshape(-1, *whole.shape[2:])[place] = values
+        return table
+
+    def rows(self) -> Rows:
+        """Return its rows without padding."""
+        vehicle, row = np.nonzero(self.heard)
+        return vehicle, {name: getattr(self, name)[vehicle, row] for name in _ROW_FIELDS}
 
     @property
     def heard(self) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -31,7 +31,7 @@ from tsmcl_ros.model.period import Schedule
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
 from tsmcl_ros.traces import FOLLOW, TraceConfig
-from tsmcl_ros.types import Array, ConfigError, Links, Observation, PADDED
+from tsmcl_ros.types import Array, ConfigError, Links, Observation, Rows
 
 # Each is made from its config, the number of vehicles, and a random generator of its own.
 MOBILITY: dict[str, tuple[type[Config], Callable[[Any, int, np.random.Generator], Mobility]]] = {
@@ -229,17 +229,18 @@ class World:
         now = Poses.unknown(vehicles, dimension) if poses is None else self._up_to_date(
             poses, heard.stamp)
         beacons = vehicle_beacons(self._relaying, now)
+        pairs = _apart(*_within(self._channel.reach, position, position))
+        listener, neighbour, rows = _hear(
+            self._channel, pairs, beacons, self._peer_rng, self._config.drop_rate)
         # Who is lost is a neighbour too, but says nothing of where it is.
-        neighbours = receive(
-            self._channel, position, beacons, self._peer_rng, heard.stamp, self._config.drop_rate,
-            np.arange(vehicles))
-        index = np.where(neighbours.heard, neighbours.sender - beacons.sender[0, 0], PADDED)
-        furthest = self._relaying.pose_max_spread * self._channel.radio_range
-        placed = neighbours.heard & now.within(furthest)[index]
-        parts = [heard, replace(neighbours, sender=np.where(placed, neighbours.sender, PADDED))]
+        reliable = now.within(self._relaying.pose_max_spread * self._channel.radio_range)
+        placed = np.flatnonzero(reliable[neighbour])
+        parts: list[Rows] = [
+            (listener[placed],
+             {name: values.take(placed, axis=0) for name, values in rows.items()})]
         if self._relaying.relay_hops > 1:
-            parts.append(relay(heard, index, self._channel.radio_range))
-        return Observation.join(parts)
+            parts.append(relay(heard, listener, neighbour, self._channel.radio_range))
+        return heard.followed_by(parts)
 
     def _up_to_date(self, poses: Poses, stamp: float) -> Poses:
         """
@@ -328,7 +329,6 @@ def receive(
     rng: np.random.Generator,
     stamp: float,
     drop_rate: float = 0.0,
-    carrier: Array | None = None,
 ) -> Observation:
     """
     Return what vehicles hear of what was transmitted.
@@ -341,16 +341,13 @@ def receive(
         Where the vehicles are [m].
     senders : Observation
         V = 1: the K transmitted rows; each is sent from the position that it claims, of which
-        the first D coordinates count, unless a vehicle is its carrier.
+        the first D coordinates count.
     rng : numpy.random.Generator
         For what the channel and losses draw.
     stamp : float
         Reception time [s].
     drop_rate : float
         Share of beacons lost however near they are.
-    carrier : (K,) int or None
-        The vehicle that sends each row: from where it truly is, whatever it claims, and it does
-        not hear itself. None if no row is sent by one of the vehicles.
 
     Returns
     -------
@@ -366,22 +363,9 @@ def receive(
     """
     vehicles, dimension = position.shape
     sent = senders.vehicle(0).project(dimension)
-    place = sent.position[0] if carrier is None else position[carrier]
-    vehicle, sender, distance = _within(channel.reach, position, place)
-    if carrier is not None:
-        other = carrier[sender] != vehicle
-        vehicle, sender, distance = vehicle[other], sender[other], distance[other]
-    measured = channel.hear(distance[None], rng, sent.sender[:, sender])
-    mask = measured.mask[0]
-    if drop_rate > 0:
-        mask = mask & (rng.random(mask.shape) >= drop_rate)
-    vehicle, sender = vehicle[mask], sender[mask]
-    return Observation.tabulate(vehicle, {
-        'max_range': np.full(len(vehicle), channel.radio_range),
-        **{name: getattr(sent, name)[0].take(sender, axis=0)
-           for name in ('sender', 'kind', 'hops', 'position', 'covariance')},
-        **{name: getattr(measured, name)[0, mask] for name in ('range', 'range_std', 'rssi')},
-    }, vehicles, dimension, stamp)
+    pairs = _within(channel.reach, position, sent.position[0])
+    vehicle, _, rows = _hear(channel, pairs, sent, rng, drop_rate)
+    return Observation.tabulate(vehicle, rows, vehicles, dimension, stamp)
 
 
 def hear_each_other(channel: Channel, anchors: Observation, rng: np.random.Generator) -> Links:
@@ -404,13 +388,11 @@ def hear_each_other(channel: Channel, anchors: Observation, rng: np.random.Gener
 
     """
     position, identity = anchors.position[0], anchors.sender[0]
-    receiver, sender, distance = _within(channel.reach, position, position)
-    apart = receiver != sender
-    receiver, sender, distance = receiver[apart], sender[apart], distance[apart]
+    receiver, sender, distance = _apart(*_within(channel.reach, position, position))
     measured = channel.hear(distance[None], rng, identity[None, sender])
-    heard = np.zeros((len(identity), len(identity)), bool)
-    heard[receiver, sender] = measured.mask[0]
-    both = (heard & heard.T)[receiver, sender]
+    mask = measured.mask[0]
+    there, back = receiver * len(identity) + sender, sender * len(identity) + receiver
+    both = mask & np.isin(there, back[mask])
     receiver, sender = receiver[both], sender[both]
     return Links(identity[receiver], identity[sender], position[receiver], position[sender],
                  measured.rssi[0, both])
@@ -501,17 +483,48 @@ def make_world(settings: Mapping[str, Any], rng: np.random.Generator) -> World:
                  relaying=build(RelayConfig, settings))
 
 
+def _hear(channel: Channel, pairs: tuple[Array, Array, Array], sent: Observation,
+          rng: np.random.Generator, drop_rate: float) -> tuple[Array, Array, dict[str, Array]]:
+    """
+    Return who hears whom, of the pairs that `_within` found, as what rows of an observation.
+
+    `sent` (V = 1) has no padding; vehicle and sender are indices (M,), rows (M, ...) by field.
+    """
+    vehicle, sender, distance = pairs
+    measured = channel.hear(distance[None], rng, sent.sender[:, sender])
+    mask = measured.mask[0]
+    if drop_rate > 0:
+        mask = mask & (rng.random(mask.shape) >= drop_rate)
+    vehicle, sender = vehicle[mask], sender[mask]
+    measures = (['range', 'range_std'] * channel.radio.measure_range
+                + ['rssi'] * channel.radio.measure_rssi)
+    return vehicle, sender, {
+        'max_range': np.full(len(vehicle), channel.radio_range),
+        **{name: getattr(sent, name)[0].take(sender, axis=0)
+           for name in ('sender', 'kind', 'hops', 'position', 'covariance')},
+        **{name: getattr(measured, name)[0, mask] for name in measures},
+    }
+
+
 def _within(reach: float, vehicles: Array, senders: Array) -> tuple[Array, Array, Array]:
     """
     Find the pairs of a vehicle (V, D) and a sender (A, D) that are within reach [m].
 
     Returns indices of vehicles and of senders, and distances [m], sorted in that order.
     """
+    # Trees that serve one search: to balance them costs more than it saves.
+    trees = [KDTree(points, balanced_tree=False, compact_nodes=False)
+             for points in (vehicles, senders)]
     # A little more than the reach: whether the very edge belongs to it is the channel's to say.
-    pairs = KDTree(vehicles).sparse_distance_matrix(
-        KDTree(senders), reach * (1 + 1e-9), output_type='ndarray')
-    pairs = pairs[np.argsort(pairs['i'] * len(senders) + pairs['j'])]
-    return pairs['i'], pairs['j'], pairs['v']
+    pairs = trees[0].sparse_distance_matrix(trees[1], reach * (1 + 1e-9), output_type='ndarray')
+    order = np.argsort(pairs['i'] * len(senders) + pairs['j'])
+    return pairs['i'][order], pairs['j'][order], pairs['v'][order]
+
+
+def _apart(receiver: Array, sender: Array, distance: Array) -> tuple[Array, Array, Array]:
+    """Leave out the pairs that are one and the same."""
+    apart = receiver != sender
+    return receiver[apart], sender[apart], distance[apart]
 
 
 def _listed(text: str, dimension: int) -> list[float]:

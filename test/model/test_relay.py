@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
-from tsmcl_ros.types import ConfigError, Observation, PADDED, VEHICLE
+from tsmcl_ros.types import ConfigError, Observation, VEHICLE
 from tsmcl_ros.world import make_world
 
 
@@ -20,16 +20,22 @@ def listen(position: np.ndarray, anchors: np.ndarray, reach: float) -> Observati
         vehicle, {'sender': 10 + anchor, 'position': anchors[anchor]}, len(position), 2, 1.0)
 
 
-def meet(position: np.ndarray, reach: float) -> np.ndarray:
-    """Return the vehicles (V, N) that each of these (V, 2) hears, by all distances."""
+def meet(position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pairs of these vehicles (V, 2) that hear each other, by all distances."""
     near = np.linalg.norm(position[:, None] - position, axis=2) <= reach
     np.fill_diagonal(near, False)
-    vehicle, other = np.nonzero(near)
-    return Observation.tabulate(vehicle, {'sender': other}, len(position), 2, 1.0).sender
+    listener, neighbour = np.nonzero(near)
+    return listener, neighbour
+
+
+def relayed_to(heard: Observation, pairs: tuple[np.ndarray, np.ndarray]) -> Observation:
+    """Return what is relayed within 20 m."""
+    rows = relay(heard, *pairs, 20.0)
+    return Observation.tabulate(*rows, len(heard.sender), 2, 1.0)
 
 
 def scene(seed: int = 1, vehicles: int = 60, anchors: int = 25
-          ) -> tuple[np.ndarray, np.ndarray, Observation, np.ndarray]:
+          ) -> tuple[np.ndarray, np.ndarray, Observation, tuple[np.ndarray, np.ndarray]]:
     draw = np.random.default_rng(seed)
     position = draw.uniform(0, 100, (vehicles, 2))
     place = draw.uniform(0, 100, (anchors, 2)).astype(np.float32)
@@ -39,10 +45,12 @@ def scene(seed: int = 1, vehicles: int = 60, anchors: int = 25
 @pytest.mark.parametrize('seed', range(5))
 def test_relayed_anchors_are_those_that_neighbours_hear_and_oneself_does_not(seed: int) -> None:
     _, _, heard, neighbours = scene(seed)
-    relayed = relay(heard, neighbours, 20.0)
+    relayed = relayed_to(heard, neighbours)
     own = [set(row[row >= 0].tolist()) for row in heard.sender]
-    for vehicle, row in enumerate(neighbours):
-        told = set().union(*(own[other] for other in row[row >= 0])) - own[vehicle]
+    listener, neighbour = neighbours
+    for vehicle in range(len(own)):
+        others = neighbour[listener == vehicle]
+        told = set().union(*(own[other] for other in others)) - own[vehicle]
         found = relayed.sender[vehicle, relayed.heard[vehicle]].tolist()
         assert found == sorted(told)
 
@@ -50,7 +58,7 @@ def test_relayed_anchors_are_those_that_neighbours_hear_and_oneself_does_not(see
 def test_relayed_anchors_are_two_hops_away_and_measured_by_nobody() -> None:
     _, place, heard, neighbours = scene()
     measured = replace(heard, range=np.ones_like(heard.range), rssi=np.ones_like(heard.rssi))
-    relayed = relay(measured, neighbours, 20.0)
+    relayed = relayed_to(measured, neighbours)
     rows = relayed.heard
     assert rows.any()
     assert (relayed.hops[rows] == 2).all()
@@ -62,7 +70,7 @@ def test_relayed_anchors_are_two_hops_away_and_measured_by_nobody() -> None:
 
 def test_a_relayed_anchor_is_beyond_the_range_and_within_twice_the_range() -> None:
     position, _, heard, neighbours = scene()
-    relayed = relay(heard, neighbours, 20.0)
+    relayed = relayed_to(heard, neighbours)
     vehicle, row = np.nonzero(relayed.heard)
     distance = np.linalg.norm(position[vehicle] - relayed.position[vehicle, row], axis=1)
     assert distance.min() > 20.0
@@ -74,13 +82,13 @@ def test_neither_vehicles_nor_relayed_anchors_are_relayed(field: str) -> None:
     _, _, heard, neighbours = scene()
     other = {'kind': VEHICLE, 'hops': 2}[field]
     changed = replace(heard, **{field: np.full_like(heard.kind, other)})
-    assert relay(changed, neighbours, 20.0).sender.size == 0
+    assert relayed_to(changed, neighbours).sender.size == 0
 
 
 def test_without_neighbours_nothing_is_relayed() -> None:
-    _, _, heard, neighbours = scene()
-    assert relay(heard, np.full_like(neighbours, PADDED), 20.0).sender.size == 0
-    assert relay(heard, neighbours[:, :0], 20.0).sender.size == 0
+    _, _, heard, _ = scene()
+    nobody = np.zeros(0, int)
+    assert relayed_to(heard, (nobody, nobody)).sender.size == 0
 
 
 def test_a_beacon_of_a_vehicle_claims_its_pose_with_its_covariance() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Observation, VEHICLE
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Observation, Rows, VEHICLE
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def vehicle_beacons(config: RelayConfig, poses: Poses) -> Observation:
     return table
 
 
-def relay(heard: Observation, neighbours: Array, radio_range: float) -> Observation:
+def relay(heard: Observation, listener: Array, neighbour: Array, radio_range: float) -> Rows:
     """
     Return the anchors that vehicles do not hear, but one of their neighbours does.
 
@@ -127,29 +127,28 @@ def relay(heard: Observation, neighbours: Array, radio_range: float) -> Observat
     heard : Observation
         What V vehicles hear; vehicles among the senders are not relayed, and what is itself
         relayed neither.
-    neighbours : (V, N) int
-        The vehicles that each vehicle hears, -1 where padded.
+    listener, neighbour : (M,) int
+        The vehicles that hear another, and the vehicle that each of them hears.
     radio_range : float
         [m].
 
     """
-    vehicles, _, dimension = heard.position.shape
+    vehicles = len(heard.position)
     vehicle, row = np.nonzero(heard.heard & (heard.kind == ANCHOR) & (heard.hops == 1))
     _, first, anchor = np.unique(
         heard.sender[vehicle, row], return_index=True, return_inverse=True)
     direct = _matrix(vehicle, anchor.reshape(-1), (vehicles, len(first)))
-    listener, column = np.nonzero(neighbours >= 0)
-    links = _matrix(listener, neighbours[listener, column], (vehicles, vehicles))
+    links = _matrix(listener, neighbour, (vehicles, vehicles))
     # A count of ways, of which those who hear the anchor themselves have none left.
     missed = (links @ direct > direct * np.int32(vehicles)).tocoo()
     order = np.lexsort((missed.col, missed.row))
     listener, anchor = missed.row[order], missed.col[order]
     at = vehicle[first[anchor]], row[first[anchor]]
-    return Observation.tabulate(listener, {
+    return listener, {
         'sender': heard.sender[at], 'position': heard.position[at],
         'covariance': heard.covariance[at], 'hops': np.full(len(order), 2),
         'max_range': np.full(len(order), radio_range),
-    }, vehicles, dimension, heard.stamp)
+    }
 
 
 def _matrix(row: Array, column: Array, shape: tuple[int, int]) -> csr_array:
