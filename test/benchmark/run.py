@@ -18,7 +18,7 @@ import platform
 from goals import as_markdown, GOAL_HEADINGS, Section
 import numpy as np
 
-NAMES = ('fleets', 'methods', 'codec', 'bag', 'medium')
+NAMES = ('fleets', 'peers', 'methods', 'codec', 'bag', 'medium')
 COMMAND = 'make bench'
 
 
