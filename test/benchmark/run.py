@@ -18,7 +18,15 @@ import platform
 from goals import as_markdown, GOAL_HEADINGS, Section
 import numpy as np
 
-NAMES = ('fleets', 'peers', 'methods', 'codec', 'bag', 'medium')
+NAMES = (
+    'fleets',
+    'peers',
+    'search',
+    'methods',
+    'codec',
+    'bag',
+    'medium',
+)
 COMMAND = 'make bench'
 
 
