@@ -18,6 +18,8 @@ REQUIRED = [
     'scipy>=1.11,<2',
     'tqdm>=4.66,<5',
 ]
+# Dask numbers its versions by date.
+DASK = ['distributed>=2024.2.1,<2027']
 EXTRAS = {
     # Not for where a ROS installation is sourced: that one is used.
     'ros': [
@@ -25,8 +27,10 @@ EXTRAS = {
         'ros-rclpy[fastrtps]>=7.1.6,<7.2',
         'ros-std-srvs>=5.3.6,<5.4',
     ],
+    'dask': DASK,
     'plot': ['matplotlib>=3.6,<4'],
     'test': [
+        *DASK,
         'evo>=1.30,<2',
         'hypothesis>=6.98,<7',
         'mcap>=1.1,<2',

@@ -1,7 +1,9 @@
 """Experiments to try the Monte Carlo with, in a module that spawned processes can import."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 import os
+from pathlib import Path
 import signal
 import time
 
@@ -46,3 +48,22 @@ class Endless(Draws):
     def work(self, case, seed):
         os.write(1, b'begun')
         time.sleep(600)
+
+
+@dataclass(frozen=True)
+class Mortal(Draws):
+    """An experiment whose seventh run kills its process, the first time that it is worked."""
+
+    grave: str = ''
+
+    def work(self, case, seed):
+        if seed.spawn_key == (6,):
+            with suppress(FileExistsError), Path(self.grave).open('x'):
+                os.kill(os.getpid(), signal.SIGKILL)
+        return super().work(case, seed)
+
+
+def once(value):
+    """Return a value, after a moment."""
+    time.sleep(0.1)
+    return value

@@ -15,6 +15,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
     run_experiment,
     significant,
 )
+from tsmcl_ros.evaluation.pools import Processes
 from tsmcl_ros.types import TsmclError
 
 sys.path.append(str(Path(__file__).parent))
@@ -26,7 +27,7 @@ def values(results):
 
 
 def test_results_do_not_depend_on_the_number_of_processes():
-    alone, together = (run_experiment(Draws(), 7, 3, workers) for workers in (1, 2))
+    alone, together = (run_experiment(Draws(), 7, 3, Processes(workers)) for workers in (1, 2))
 
     assert values(alone) == values(together)
     assert [(result.case, result.run) for result in alone] == [
@@ -34,34 +35,34 @@ def test_results_do_not_depend_on_the_number_of_processes():
 
 
 def test_results_come_in_order_of_cases_and_runs():
-    results = run_experiment(Draws(), 0, 2, 1)
+    results = run_experiment(Draws(), 0, 2)
 
     assert [(result.case['name'], result.run) for result in results] == [
         ('a', 0), ('a', 1), ('b', 0), ('b', 1)]
 
 
 def test_runs_of_one_number_share_their_seed_over_cases():
-    first, _, second, _ = values(run_experiment(Draws(), 0, 2, 1))
+    first, _, second, _ = values(run_experiment(Draws(), 0, 2))
 
     assert (2 * np.array(first)).tolist() == second
 
 
 def test_seeds_and_runs_differ():
     numbers = [tuple(value) for seed in (0, 1)
-               for value in values(run_experiment(Draws(), seed, 2, 1))]
+               for value in values(run_experiment(Draws(), seed, 2))]
 
     assert len(set(numbers)) == len(numbers)
 
 
 def test_more_runs_leave_the_first_ones_as_they_are():
-    few, many = (run_experiment(Draws(), 5, runs, 1) for runs in (1, 3))
+    few, many = (run_experiment(Draws(), 5, runs) for runs in (1, 3))
 
     assert values(few)[0] == values(many)[0]
 
 
 def test_a_killed_process_is_one_clear_error():
     with pytest.raises(TsmclError, match='killed.* fewer workers'):
-        run_experiment(Dies(), 0, 1, 2)
+        run_experiment(Dies(), 0, 1, Processes(2))
 
 
 def test_the_interval_of_a_mean_is_that_of_the_central_limit_theorem():
@@ -97,8 +98,9 @@ def test_an_interrupt_ends_the_processes():
     code = ('import multiprocessing\n'
             'from draws import Endless\n'
             'from tsmcl_ros.evaluation.monte_carlo import run_experiment\n'
+            'from tsmcl_ros.evaluation.pools import Processes\n'
             'try:\n'
-            '    run_experiment(Endless(), 0, 2, 2)\n'
+            '    run_experiment(Endless(), 0, 2, Processes(2))\n'
             'except KeyboardInterrupt:\n'
             '    for process in multiprocessing.active_children():\n'
             '        process.join()\n'

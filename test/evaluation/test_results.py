@@ -25,14 +25,14 @@ def values(results):
 def written(tmp_path):
     """Return a folder with the results of two runs, and those."""
     experiment = Draws()
-    results = run_experiment(experiment, 0, 2, 1)
+    results = run_experiment(experiment, 0, 2)
     write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), RECORD)
     return tmp_path, results
 
 
 def test_the_csv_file_holds_every_row_led_by_its_case_and_run(tmp_path):
     experiment = Draws()
-    results = run_experiment(experiment, 0, 2, 1)
+    results = run_experiment(experiment, 0, 2)
 
     write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
 
@@ -50,7 +50,7 @@ def test_an_unknown_number_is_an_empty_cell(tmp_path):
             return Outcome({'value': np.array([np.nan])}, 0.0)
 
     experiment = Unknown()
-    results = run_experiment(experiment, 0, 1, 1)
+    results = run_experiment(experiment, 0, 1)
     write_results(tmp_path, 'draws', experiment, results, experiment.judge(results), {})
 
     assert (tmp_path / 'draws.csv').read_text().splitlines()[1] == '1.0,a,0,'
@@ -58,7 +58,7 @@ def test_an_unknown_number_is_an_empty_cell(tmp_path):
 
 def test_the_json_file_says_what_made_the_rows_and_what_they_show(tmp_path):
     experiment = Draws(rows=4)
-    results = run_experiment(experiment, 3, 1, 1)
+    results = run_experiment(experiment, 3, 1)
 
     written = write_results(
         tmp_path, 'draws', experiment, results, experiment.judge(results), {'seed': 3})
@@ -80,7 +80,7 @@ def test_without_matplotlib_there_is_no_figure(tmp_path):
             raise ModuleNotFoundError(name='matplotlib.figure')
 
     experiment = Plotless()
-    results = run_experiment(experiment, 0, 1, 1)
+    results = run_experiment(experiment, 0, 1)
 
     written = write_results(
         tmp_path, 'draws', experiment, results, experiment.judge(results), {})
@@ -114,7 +114,7 @@ def test_an_unknown_number_is_read_as_one(tmp_path):
         def work(self, case, seed):
             return Outcome({'value': np.array([np.nan, 1.5])}, 0.0)
 
-    results = run_experiment(Unknown(), 0, 2, 1)
+    results = run_experiment(Unknown(), 0, 2)
     write_results(tmp_path, 'draws', Unknown(), results, Unknown().judge(results), RECORD)
     again, _ = read_results(tmp_path, 'draws', Unknown())
     np.testing.assert_array_equal(values(again), [[np.nan, 1.5]] * 4)
@@ -129,7 +129,7 @@ def test_a_case_may_have_a_comma_in_its_name(tmp_path):
         def work(self, case, seed):
             return Outcome({'value': np.array([2.5])}, 0.0)
 
-    results = run_experiment(Named(), 0, 2, 1)
+    results = run_experiment(Named(), 0, 2)
     write_results(tmp_path, 'draws', Named(), results, Named().judge(results), RECORD)
     again, _ = read_results(tmp_path, 'draws', Named())
     assert values(again) == [[2.5]] * 4

@@ -1,5 +1,5 @@
 """
-Experiments: cases x runs in parallel processes, deterministic however many there are.
+Experiments: cases x runs side by side, with the same results wherever they are worked on.
 
 An experiment is a frozen dataclass of its sizes that lists cases, works one of them with one
 seed, and judges what came of all. Runs of one number share their seed over all cases, so that
@@ -8,26 +8,21 @@ cases are compared on the same worlds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 import math
-import multiprocessing
-import os
 from pathlib import Path
-import signal
 import time
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from tsmcl_ros.types import Array, Progress, TsmclError, unshown
+from tsmcl_ros.evaluation.pools import Pool, Processes
+from tsmcl_ros.types import Array, Progress, unshown
 
 # What tells a case from the others, JSON scalars by name; they become columns of the CSV file.
 Case = Mapping[str, Any]
-# Numbers of a case and of a run.
-Task = tuple[int, int]
+IN_THIS_PROCESS = Processes(1)
 
 
 class Outcome(NamedTuple):
@@ -146,7 +141,7 @@ class Experiment(Protocol):
         """Draw the results into a PNG file; needs matplotlib."""
 
 
-def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
+def run_experiment(experiment: Experiment, seed: int, runs: int, pool: Pool = IN_THIS_PROCESS,
                    progress: Progress = unshown) -> list[Result]:
     """
     Work all cases of an experiment.
@@ -159,36 +154,29 @@ def run_experiment(experiment: Experiment, seed: int, runs: int, workers: int,
         Run i has the i-th child of its seed sequence, in every case.
     runs : int
         Of each case.
-    workers : int
-        Processes; with 1 all is done in this one.
+    pool : Pool
+        Who works on them; this process by default.
     progress : Progress
         Shows how many runs are done.
 
     Returns
     -------
     list of Result
-        In order of cases, then of runs; the same for any number of workers but for times.
+        In order of cases, then of runs; the same for any pool but for times.
 
     Raises
     ------
     TsmclError
-        If a process was killed.
+        If the pool cannot do it.
 
     """
     cases = experiment.cases()
     tasks = [(case, run) for case in range(len(cases)) for run in range(runs)]
     calls = {task: (experiment, cases[task[0]], seed, task[1]) for task in reversed(tasks)}
     # Closed however the loop ends, so that no process outlives it.
-    with closing(_work_all(calls, min(workers, len(tasks)))) as outcomes_as_they_come:
+    with closing(pool(_work, calls)) as outcomes_as_they_come:
         outcomes = dict(progress(outcomes_as_they_come, len(tasks), 'run'))
     return [Result(cases[case], run, outcomes[case, run]) for case, run in tasks]
-
-
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, 'sched_getaffinity'):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def bootstrap_interval(statistic: Callable[[Array], float], samples: Array,
@@ -241,34 +229,6 @@ def significant(value: float) -> str:
 def _work(experiment: Experiment, case: Case, seed: int, run: int) -> Outcome:
     # Built here, not handed over: spawning from one that is shared would depend on the order.
     return experiment.work(case, np.random.SeedSequence(seed, spawn_key=(run,)))
-
-
-def _work_all(tasks: Mapping[Task, tuple[Experiment, Case, int, int]], workers: int
-              ) -> Generator[tuple[Task, Outcome], None, None]:
-    """Yield the outcome of each task as it comes."""
-    if workers == 1:
-        for key, task in tasks.items():
-            yield key, _work(*task)
-        return
-    others = set(multiprocessing.active_children())
-    # A spawned process shares nothing with this one that could make a difference.
-    pool = ProcessPoolExecutor(
-        workers, multiprocessing.get_context('spawn'),
-        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
-    try:
-        started = {pool.submit(_work, *task): key for key, task in tasks.items()}
-        for future in as_completed(started):
-            yield started[future], future.result()
-    except BrokenProcessPool:
-        raise TsmclError('a process was killed, perhaps for lack of memory: try fewer workers, '
-                         f'now {workers}') from None
-    except BaseException:
-        # A run may take minutes; nobody waits for it any more.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
-    pool.shutdown()
 
 
 class Stopwatch:

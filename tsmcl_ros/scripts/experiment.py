@@ -12,11 +12,11 @@ from typing import Any
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.evaluation.monte_carlo import (
     Experiment,
-    processors,
     Report,
     Result,
     run_experiment,
 )
+from tsmcl_ros.evaluation.pools import Cluster, Processes, processors
 from tsmcl_ros.evaluation.reproduction import write_reproduction
 from tsmcl_ros.evaluation.results import prepare_folder, read_results, write_results
 from tsmcl_ros.scripts.cli import add_quiet, align, progress, run_script
@@ -69,11 +69,13 @@ def _measure(name: str, experiment: Experiment, options: argparse.Namespace
              ) -> tuple[list[Result], dict[str, Any]]:
     """Run an experiment; return its results, and what is to be told of the run."""
     runs = options.runs or experiment.runs
+    workers = options.workers or processors()
     begin = time.monotonic()
-    results = run_experiment(
-        experiment, options.seed, runs, options.workers, progress(options.quiet, name))
+    pool = Cluster(options.scheduler) if options.scheduler else Processes(workers)
+    results = run_experiment(experiment, options.seed, runs, pool, progress(options.quiet, name))
     return results, {
-        'quick': options.quick, 'seed': options.seed, 'runs': runs, 'workers': options.workers,
+        'quick': options.quick, 'seed': options.seed, 'runs': runs,
+        'workers': options.scheduler or workers,
         'duration_s': round(time.monotonic() - begin, 1)}
 
 
@@ -102,8 +104,13 @@ def _parser() -> argparse.ArgumentParser:
                         help='judge and draw anew the results that are there; run nothing')
     parser.add_argument('--runs', type=_positive, metavar='N',
                         help="Monte-Carlo runs of each case (default: the experiment's)")
-    parser.add_argument('--workers', type=_positive, default=processors(), metavar='N',
-                        help='processes, which results do not depend on (default: %(default)s)')
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument('--workers', type=_positive, metavar='N',
+                       help='processes, which results do not depend on (default: '
+                            f'{processors()})')
+    where.add_argument('--scheduler', metavar='ADDRESS',
+                       help='run on the Dask cluster of this scheduler instead, such as '
+                            'tcp://192.168.1.7:8786; needs tsmcl_ros[dask] on all its hosts')
     parser.add_argument('--seed', type=_whole, default=0, metavar='S',
                         help='seed of all randomness (default: %(default)s)')
     parser.add_argument('--out', type=Path, default=Path('experiments'), metavar='DIR',

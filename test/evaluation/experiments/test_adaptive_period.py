@@ -28,7 +28,7 @@ CASE = {'scheme': 'omega 1', 'variance_m2': 3.0, 'anchors': 10}
 def results() -> list[Result]:
     """Return what the three schemes do at one setting."""
     small = AdaptivePeriod('', 'error', runs=1, worlds=2, epochs=60)
-    return run_experiment(small, 0, 1, 1)
+    return run_experiment(small, 0, 1)
 
 
 def rows(results: list[Result]) -> dict[str, Mapping[str, np.ndarray]]:
@@ -120,7 +120,7 @@ def test_figures_are_judged_and_drawn(
 ) -> None:
     # Long enough for each vehicle to hear another beacon after it has settled.
     tiny = replace(ADAPTIVE[f'adaptive_{shown}'][1], epochs=22, **swept)
-    results = run_experiment(tiny, 0, 1, 1)
+    results = run_experiment(tiny, 0, 1)
     report = tiny.judge(results)
     assert len({len(row) for row in report.table}) == 1
     assert len(report.findings) >= 1
@@ -140,7 +140,7 @@ def test_the_full_size_is_that_of_the_claims() -> None:
 
 def test_the_factor_has_the_shapes_of_the_paper(tmp_path: Path) -> None:
     experiment = PeriodFactor()
-    results = run_experiment(experiment, 0, 1, 1)
+    results = run_experiment(experiment, 0, 1)
     report = experiment.judge(results)
     assert [finding.verdict for finding in report.findings] == ['reproduced'] * 3
     steepest, stated = (np.array([row[column] for row in report.table[1:]], float)

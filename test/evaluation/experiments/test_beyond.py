@@ -15,7 +15,7 @@ EXPERIMENT = replace(EXPERIMENTS['beyond'][1], vehicles=3, epochs=4)
 @pytest.fixture(scope='module')
 def results():
     """Return the results of a version of a second."""
-    return run_experiment(EXPERIMENT, 0, 1, 1)
+    return run_experiment(EXPERIMENT, 0, 1)
 
 
 def made_up(error):

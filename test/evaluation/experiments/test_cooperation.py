@@ -20,7 +20,7 @@ def network(targets=40, radio=RADIO, seed=1):
 def small():
     """Return an experiment of a second, and its results."""
     experiment = replace(EXPERIMENTS['coop_samples'][1], samples=(20, 40))
-    return experiment, run_experiment(experiment, 0, 1, 1)
+    return experiment, run_experiment(experiment, 0, 1)
 
 
 def made_up(experiment, error, seconds):

@@ -14,7 +14,7 @@ from tsmcl_ros.evaluation.monte_carlo import Outcome, Result, run_experiment
 def small():
     """Return an experiment of a second, and its results."""
     experiment = replace(EXPERIMENTS['grey_maneuver'][1], vehicles=200)
-    return experiment, run_experiment(experiment, 0, 1, 1)
+    return experiment, run_experiment(experiment, 0, 1)
 
 
 def made_up(experiment, error):
@@ -88,7 +88,7 @@ def test_the_smoother_agrees_with_the_filter_at_the_end_and_is_surer_before():
 def test_the_claim_of_the_paper_holds_in_both_cases():
     for name in ('grey_straight', 'grey_maneuver'):
         experiment = replace(EXPERIMENTS[name][0], vehicles=200)
-        report = experiment.judge(run_experiment(experiment, 1, 1, 1))
+        report = experiment.judge(run_experiment(experiment, 1, 1))
         assert report.findings[0].verdict == 'reproduced'
 
 

@@ -46,7 +46,7 @@ def test_a_small_sweep_runs_and_is_drawn(name, tmp_path):
     experiment = replace(EXPERIMENTS[name][1], epochs=3, vehicles=3, particles=10)
     experiment = replace(experiment, values=experiment.values[:3])
 
-    results = run_experiment(experiment, 0, 1, 1)
+    results = run_experiment(experiment, 0, 1)
     report = experiment.judge(results)
     experiment.draw(results, tmp_path / 'a.png')
 
@@ -57,7 +57,7 @@ def test_a_small_sweep_runs_and_is_drawn(name, tmp_path):
 def test_every_kind_of_knowledge_runs_and_is_drawn(tmp_path):
     experiment = replace(EXPERIMENTS['r_mcl_time'][1], epochs=3, vehicles=3, particles=10)
 
-    results = run_experiment(experiment, 0, 1, 1)
+    results = run_experiment(experiment, 0, 1)
     report = experiment.judge(results)
     experiment.draw(results, tmp_path / 'a.png')
 

@@ -23,7 +23,7 @@ CONFIG = Path(__file__).parents[3] / 'config'
 def small():
     """Return a convergence experiment of seconds, and its results."""
     experiment = replace(EXPERIMENTS['ts_mcl_convergence'][1], runs=1, epochs=6, vehicles=4)
-    return experiment, run_experiment(experiment, 0, 1, 1)
+    return experiment, run_experiment(experiment, 0, 1)
 
 
 def made_up(experiment, error):

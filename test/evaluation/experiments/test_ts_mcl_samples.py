@@ -33,7 +33,7 @@ def verdicts(experiment, *made):
 def small():
     """Return a version of less than a second, and its results."""
     experiment = replace(EXPERIMENTS['ts_mcl_samples'][1], runs=1, particles=(2, 4, 6, 8))
-    return experiment, run_experiment(experiment, 0, 1, 1)
+    return experiment, run_experiment(experiment, 0, 1)
 
 
 @pytest.mark.parametrize('name', NAMES)
