@@ -19,6 +19,13 @@ from scipy.special import log_ndtr
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.types import Array
 
+# Points reckoned at once, so that what is made of them on the way stays in the cache.
+_CHUNK = 8192
+# Numbers of at most 2 whose product a float32 holds.
+_FACTORS = 100
+# A radius that everything is inside of [m].
+ENDLESS = 1e30
+
 
 class Factor(Protocol):
     """
@@ -32,8 +39,12 @@ class Factor(Protocol):
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): the sum over references at points (V, P, D) [m]."""
 
-    def at(self, vehicle: Array) -> Factor:
-        """Return the factor for a flat list of points (1, M, D) of the vehicles (M,)."""
+    def at(self, vehicle: Array | slice) -> Factor:
+        """
+        Return the factor for other points.
+
+        Those are a flat list (1, M, D) of the vehicles (M,), or the (V', P, D) of a slice of them.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +87,8 @@ class References:
         makes distances sqrt(d^2 + a) on average, to second order, and spreads them by
         a^2 / (2 d^2).
         """
-        delta = [points[:, None, :, axis] - position
+        # Contiguous coordinates, as each is read once a reference.
+        delta = [np.ascontiguousarray(points[:, None, :, axis]) - position
                  for axis, position in enumerate(self.position)]
         known = self.covariance is None
         squared = np.square(delta[0], out=delta[0] if known else None)
@@ -111,8 +123,8 @@ class References:
             2 * (len(axes) - 1) * np.maximum(squared + across, np.float32(1e-6)))
         return across, np.asarray(along + spread)
 
-    def at(self, vehicle: Array) -> References:
-        """Return the references for a flat list of points of the vehicles (M,)."""
+    def at(self, vehicle: Array | slice) -> References:
+        """Return the references for other points: see `Factor`."""
         return References(
             flat(self.position, vehicle),
             None if self.covariance is None else flat(self.covariance, vehicle),
@@ -120,9 +132,18 @@ class References:
         )
 
 
-def flat(column: Array, vehicle: Array) -> Array:
-    """Lay out columns (..., V, E, 1) for a flat list of points of M vehicles: (..., 1, E, M)."""
-    return np.swapaxes(column[..., 0].take(vehicle, axis=-2), -1, -2)[..., None, :, :]
+def flat(column: Array, vehicle: Array | slice) -> Array:
+    """
+    Lay out columns (..., V, E, 1) for other points.
+
+    For a flat list of points of M vehicles they become (..., 1, E, M); a slice of the vehicles
+    leaves them columns.
+    """
+    if isinstance(vehicle, slice):
+        return column[..., vehicle, :, :]
+    # By rows of references, so that what is made of them is contiguous.
+    rows = np.ascontiguousarray(np.swapaxes(column[..., 0], -1, -2))
+    return rows.take(vehicle, axis=-1, mode='clip')[..., None, :, :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,32 +151,32 @@ class DiskBoundary:
     """
     Inside or outside of soft-edged disks: heard, silent and relayed beacons alike.
 
-    log p = -log(1 + exp(side (d - R) / s)), with side 1 for heard and -1 for silent; a relayed
-    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1).
+    log p = -log(1 + exp((d - R) / s)), with a width s > 0 for heard and < 0 for silent; a relayed
+    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1); `steepness` is 1 / s.
     """
 
     measures: ClassVar[bool] = False
 
     references: References
     radius: Array
-    softness: Array
-    side: Array
+    steepness: Array
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
         distance, variance = self.references.distance(points)
-        softness = self.softness
+        steepness = self.steepness
         if variance is not None:
             # A logistic curve of width s lies within 0.01 of a Gaussian's of std 1.702 s.
-            softness = np.sqrt(softness * softness + variance / np.float32(1.702 ** 2))
+            steepness = steepness / np.sqrt(
+                1 + steepness * steepness * variance / np.float32(1.702 ** 2))
         distance -= self.radius
-        distance *= self.side / softness
-        return -_softplus(distance).sum(axis=1)
+        distance *= steepness
+        return -_softplus_sum(distance)
 
-    def at(self, vehicle: Array) -> DiskBoundary:
-        """Return the factor for a flat list of points: see `Factor`."""
+    def at(self, vehicle: Array | slice) -> DiskBoundary:
+        """Return the factor for other points: see `Factor`."""
         return DiskBoundary(self.references.at(vehicle), *(
-            flat(column, vehicle) for column in (self.radius, self.softness, self.side)))
+            flat(column, vehicle) for column in (self.radius, self.steepness)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +204,8 @@ class ShadowedBoundary:
             excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
         return np.asarray(log_ndtr(excess).sum(axis=1))
 
-    def at(self, vehicle: Array) -> ShadowedBoundary:
-        """Return the factor for a flat list of points: see `Factor`."""
+    def at(self, vehicle: Array | slice) -> ShadowedBoundary:
+        """Return the factor for other points: see `Factor`."""
         return ShadowedBoundary(self.references.at(vehicle), *(
             flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
 
@@ -217,8 +238,8 @@ class Power:
             squared = squared / widened + np.log(widened)
         return heavy_tailed(np.float32(-0.5) * self.weight * squared, self.floor).sum(axis=1)
 
-    def at(self, vehicle: Array) -> Power:
-        """Return the factor for a flat list of points: see `Factor`."""
+    def at(self, vehicle: Array | slice) -> Power:
+        """Return the factor for other points: see `Factor`."""
         return replace(
             self, references=self.references.at(vehicle),
             excess=flat(self.excess, vehicle), weight=flat(self.weight, vehicle),
@@ -265,8 +286,10 @@ class Evidence:
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P) float32 at points (V, P, D) or shared ones (1, P, D) [m]."""
         total = np.zeros((len(self.heard), points.shape[1]), np.float32)
-        for factor in self.factors:
-            total += factor.log_likelihood(points)
+        for rows in _chunks(len(total), points.shape[1]):
+            some = points if len(points) == 1 else points[rows]
+            for factor in self.factors:
+                total[rows] += factor.at(rows).log_likelihood(some)
         return total
 
     @property
@@ -284,10 +307,18 @@ class Evidence:
     def log_likelihood_of(self, points: Array, vehicle: Array) -> Array:
         """Return (M,) float32 of a flat list of points (M, D) [m] of the vehicles (M,)."""
         total = np.zeros(len(points), np.float32)
-        for factor in self.factors:
-            listed = factor if len(self.heard) == 1 else factor.at(vehicle)
-            total += listed.log_likelihood(points[None])[0]
+        single = len(self.heard) == 1
+        for rows in _chunks(len(points)):
+            for factor in self.factors:
+                listed = factor if single else factor.at(vehicle[rows])
+                total[rows] += listed.log_likelihood(points[None, rows])[0]
         return total
+
+
+def _chunks(count: int, size: int = 1) -> list[slice]:
+    """Return slices of so many rows that what is made of them stays in the cache."""
+    step = max(_CHUNK // max(size, 1), 1)
+    return [slice(first, first + step) for first in range(0, count, step)]
 
 
 def column(values: Array) -> Array:
@@ -305,16 +336,25 @@ def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:
     return np.asarray(1 + (slope / math.log(10)) ** 2 * variance / distance ** 2)
 
 
-def _softplus(x: Array) -> Array:
-    """Turn x into log(1 + exp(x)), in place, without overflow, by fast float32 functions."""
-    positive = np.maximum(x, 0)
-    np.abs(x, out=x)
-    np.negative(x, out=x)
-    np.exp(x, out=x)
-    x += 1
-    np.log(x, out=x)
-    x += positive
-    return x
+def _softplus_sum(x: Array) -> Array:
+    """
+    Return the sum (V, P) over E of log(1 + exp(x)) of x (V, E, P) float32, which is spoiled.
+
+    That is max(x, 0) + log(1 + exp(-|x|)), without overflow; one logarithm of a product serves
+    all references, each of whose factors is at most 2.
+    """
+    size = np.abs(x)
+    x += size
+    linear = x.sum(axis=1)
+    # What is beyond adds nothing to 1 in float32, but takes long where it underflows.
+    np.clip(size, 0, 20, out=size)
+    np.negative(size, out=size)
+    np.exp(size, out=size)
+    size += 1
+    linear *= np.float32(0.5)
+    for first in range(0, size.shape[1], _FACTORS):
+        linear += np.log(size[:, first:first + _FACTORS].prod(axis=1))
+    return np.asarray(linear)
 
 
 def heavy_tailed(score: Array, floor: float) -> Array:

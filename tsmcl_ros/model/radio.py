@@ -11,6 +11,7 @@ from tsmcl_ros.model.calibration import RangeCalibration
 from tsmcl_ros.model.evidence import (
     column,
     DiskBoundary,
+    ENDLESS,
     Evidence,
     Factor,
     Power,
@@ -351,7 +352,7 @@ class Channel:
         boundary = self._boundary(observation, bounded, radius, heard)
         if boundary is not None:
             factors.append(boundary)
-            terms += np.isfinite(boundary.radius).sum(axis=(1, 2))
+            terms += (boundary.radius < ENDLESS).sum(axis=(1, 2))
         return Evidence(
             factors=tuple(factors), terms=np.maximum(terms, 1), floor=floor, heard=heard,
             region=lambda: self._reach(observation, ranged, powered, bounded, radius))
@@ -504,17 +505,17 @@ class Channel:
         groups = [group for group in groups if group[3].any()]
         if not groups:
             return None
-        sender, position, covariance, used, reach, side = (
-            np.concatenate(parts, axis=1) for parts in zip(*groups, strict=True))
+        sender, position, covariance, used, reach, side = _packed(
+            [np.concatenate(parts, axis=1) for parts in zip(*groups, strict=True)])
         references = References.lay_out(position, covariance)
-        # A padded column has an infinite radius and stands inside of it: it scores 0.
-        reach = column(np.where(used, reach, np.inf))
-        side = column(np.where(used, side, 1))
+        # A padded column has an endless radius and stands inside of it: it scores 0.
+        softness = self.softness(np.where(used, reach, 50))
+        reach = column(np.where(used, reach, ENDLESS))
+        side = np.where(used, side, 1)
         if self.radio.radio_model == 'lognormal':
             return ShadowedBoundary(
-                references, reach, side, column(self.path_loss(sender).slope))
-        softness = self.softness(np.where(np.isfinite(reach), reach, 50))
-        return DiskBoundary(references, reach, softness.astype(np.float32), side)
+                references, reach, column(side), column(self.path_loss(sender).slope))
+        return DiskBoundary(references, reach, column(side / softness))
 
     def _reach(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
                radius: Array) -> Reach:
@@ -533,3 +534,13 @@ class Channel:
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))
         return Reach(observation.position, observation.heard, presence[:, :, None] + spread,
                      measured[:, :, None] + spread)
+
+
+def _packed(columns: list[Array]) -> list[Array]:
+    """Return columns (V, E, ...), the fourth of which says what is used, without idle ones."""
+    used = columns[3]
+    width = used.sum(axis=1).max()
+    if width == used.shape[1]:
+        return columns
+    order = np.argsort(~used, axis=1, kind='stable')[:, :width]
+    return [values[np.arange(len(used))[:, None], order] for values in columns]

@@ -44,8 +44,8 @@ class RangeErrors(Protocol):
     def widened(self, variance: Array) -> RangeErrors:
         """Return the law with this variance more (V, E, 1) [m^2], roughly."""
 
-    def at(self, vehicle: Array) -> RangeErrors:
-        """Return the law for a flat list of points of the vehicles (M,)."""
+    def at(self, vehicle: Array | slice) -> RangeErrors:
+        """Return the law for other points: see `Factor`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class GaussianErrors:
         """Return a wider law: see `RangeErrors`."""
         return GaussianErrors(np.sqrt(self.std * self.std + variance))
 
-    def at(self, vehicle: Array) -> GaussianErrors:
-        """Return the law for a flat list of points: see `RangeErrors`."""
+    def at(self, vehicle: Array | slice) -> GaussianErrors:
+        """Return the law for other points: see `RangeErrors`."""
         return GaussianErrors(flat(self.std, vehicle))
 
     @property
@@ -149,8 +149,8 @@ class AsymmetricErrors:
         return AsymmetricErrors(
             *(np.sqrt(scale * scale + variance / 2) for scale in (self.short, self.long)))
 
-    def at(self, vehicle: Array) -> AsymmetricErrors:
-        """Return the law for a flat list of points: see `RangeErrors`."""
+    def at(self, vehicle: Array | slice) -> AsymmetricErrors:
+        """Return the law for other points: see `RangeErrors`."""
         return AsymmetricErrors(flat(self.short, vehicle), flat(self.long, vehicle))
 
 
@@ -212,8 +212,8 @@ class Ranging:
         return replace(self, references=References(self.references.position, None, None),
                        errors=self.errors.widened(variance))
 
-    def at(self, vehicle: Array) -> Ranging:
-        """Return the factor for a flat list of points: see `Factor`."""
+    def at(self, vehicle: Array | slice) -> Ranging:
+        """Return the factor for other points: see `Factor`."""
         return replace(
             self, references=self.references.at(vehicle), errors=self.errors.at(vehicle),
             indicated=flat(self.indicated, vehicle), used=flat(self.used, vehicle))
