@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from tsmcl_ros.model.cloud import Cloud, CloudConfig, ParticleFilter, spread
+from tsmcl_ros.model.cloud import Cloud, CloudConfig, ParticleFilter
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion, RandomMotion
+from tsmcl_ros.model.particles import spread
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 

@@ -28,6 +28,6 @@ class Mcb(RejectionFilter):
 
     Config = McbConfig
 
-    def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
+    def redraws(self, evidence: Evidence, survived: Array) -> Redraw:
         """Draw what the motion puts into the anchor box."""
-        return self.redraw_in_boxes(*evidence.reach.anchor_box(), weights)
+        return self.redraw_in_boxes(*evidence.reach.anchor_box(), survived)

@@ -27,18 +27,19 @@ class Mcl(RejectionFilter):
 
     Config = MclConfig
 
-    def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
+    def redraws(self, evidence: Evidence, survived: Array) -> Redraw:
         """Predict from random parents, whose weight is inherited."""
         size, motion = self.cloud.states.shape[1], self._motion
-        inherited = self.cloud.weights.copy()
+        parents = self._parents.reshape(-1, self._parents.shape[2])
+        inherited = self.cloud.weights.flatten()
 
         def redraw(owner: Array) -> tuple[Array, Array, Array]:
-            parent = self.rng.integers(size, size=len(owner))
+            parent = owner * size + self.rng.integers(size, size=len(owner))
             own = motion
             if motion.displacement is not None and motion.turn is not None:
                 own = Motion(motion.elapsed, motion.displacement[owner], motion.turn[owner])
             states = self.cloud.motion.predict(
-                self._parents[owner, parent][:, None], own, self.rng)[:, 0]
-            return states, inherited[owner, parent], np.ones(len(owner), bool)
+                parents.take(parent, axis=0, mode='clip')[:, None], own, self.rng)[:, 0]
+            return states, inherited.take(parent, mode='clip'), np.ones(len(owner), bool)
 
         return redraw

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from tsmcl_ros.config import param
-from tsmcl_ros.model.cloud import CloudConfig, spread
+from tsmcl_ros.model.cloud import CloudConfig
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.kernel import Kernel
 from tsmcl_ros.model.motion import MotionModel, RandomMotion
@@ -27,6 +27,7 @@ from tsmcl_ros.model.particles import (
     effective_sample_size,
     even_resample,
     normalize,
+    spread,
     systematic_resample,
 )
 from tsmcl_ros.model.radio import Channel

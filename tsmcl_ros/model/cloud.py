@@ -16,6 +16,7 @@ from tsmcl_ros.model.particles import (
     kernel_density,
     moments,
     normalize,
+    spread,
     systematic_resample,
 )
 from tsmcl_ros.model.radio import Channel
@@ -368,8 +369,3 @@ class ParticleFilter:
     def predict(self, motion: Motion) -> None:
         """Move the particles by the motion since the last epoch."""
         self.cloud.predict(motion)
-
-
-def spread(points: Array) -> Array:
-    """Return the standard deviation per axis [m] (V,) of clouds of points (V, N, D)."""
-    return np.sqrt(points.var(axis=1).mean(axis=1))

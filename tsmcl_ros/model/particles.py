@@ -28,7 +28,18 @@ def normalize(log_weights: Array) -> tuple[Array, Array]:
 
 def effective_sample_size(weights: Array) -> Array:
     """Return 1 / sum w^2 (V,) of normalized weights (V, N)."""
-    return 1 / np.square(weights, dtype=np.float64).sum(axis=1)
+    return np.asarray(1 / np.einsum('vn,vn->v', weights, weights).astype(np.float64))
+
+
+def coordinates(points: Array) -> list[Array]:
+    """Return the D coordinates of points (V, N, D), (V, N) each and contiguous."""
+    return [np.ascontiguousarray(points[:, :, axis]) for axis in range(points.shape[2])]
+
+
+def spread(points: Array) -> Array:
+    """Return the standard deviation per axis [m] (V,) of clouds of points (V, N, D)."""
+    variances = [axis.var(axis=1) for axis in coordinates(points)]
+    return np.sqrt(sum(variances[1:], variances[0]) / np.float32(len(variances)))
 
 
 def systematic_resample(weights: Array, count: int, rng: np.random.Generator) -> Array:
@@ -101,8 +112,21 @@ def moments(particles: Array, weights: Array, error: Array | None = None) -> tup
     that sum to 1, divides by N twice; this is sum w x. With an `error` (V,), so much of the
     unweighted cloud's mean square about the mean is added to the covariance.
     """
-    mean = np.einsum('vn,vnd->vd', weights, particles, dtype=np.float64)
-    deviation = particles - mean[:, None, :]
+    axes = coordinates(particles)
+    shape = len(particles), len(axes)
+    mean, covariance = np.empty(shape), np.empty((*shape, len(axes)))
+    for number, axis in enumerate(axes):
+        # Twice, as float32 resolves what is left about a mean far better than the mean.
+        rough = np.einsum('vn,vn->v', weights, axis)
+        axes[number] = deviation = axis - rough[:, None]
+        rest = np.einsum('vn,vn->v', weights, deviation)
+        deviation -= rest[:, None]
+        mean[:, number] = rough.astype(np.float64) + rest
     if error is not None:
-        weights = weights + (error / weights.shape[1])[:, None]
-    return mean, np.einsum('vn,vni,vnj->vij', weights, deviation, deviation)
+        weights = weights + (error / weights.shape[1]).astype(weights.dtype)[:, None]
+    for row, axis in enumerate(axes):
+        weighted = weights * axis
+        for column in range(row + 1):
+            covariance[:, row, column] = covariance[:, column, row] = np.einsum(
+                'vn,vn->v', weighted, axes[column])
+    return mean, covariance

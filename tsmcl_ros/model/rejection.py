@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from tsmcl_ros.config import param
-from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter, spread
+from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.kernel import choose, Kernel
 from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.particles import spread
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
@@ -93,7 +94,7 @@ class RejectionFilter(RedrawingFilter):
         self.cloud.resample()
         return estimate
 
-    def redraws(self, evidence: Evidence, weights: Array) -> Redraw:
+    def redraws(self, evidence: Evidence, survived: Array) -> Redraw:
         """
         Return how to redraw the rejected.
 
@@ -101,8 +102,8 @@ class RejectionFilter(RedrawingFilter):
         ----------
         evidence : Evidence
             What was heard.
-        weights : (V,) float
-            Mean weight of each vehicle's survivors.
+        survived : (V, N) bool
+            The particles that are not.
 
         """
         raise NotImplementedError
@@ -132,18 +133,19 @@ class RejectionFilter(RedrawingFilter):
         rejected = which[:, None] & ~self._passed(
             presence.log_likelihood(self.cloud.particles))
         redraw: Redraw | None = None
+        owner, index = np.nonzero(rejected & self.predicted[:, None])
         for _ in range(self.config.max_redraws):
-            owner, index = np.nonzero(rejected & self.predicted[:, None])
             if not len(owner):
                 break
-            redraw = redraw or self.redraws(evidence, _mean(weights, ~rejected))
+            redraw = redraw or self.redraws(evidence, ~rejected)
             drawn, weight, valid = redraw(owner)
             self.draws += np.bincount(owner, minlength=len(which))
             valid[valid] = self._passed(
                 presence.log_likelihood_of(drawn[valid, :dimension], owner[valid]))
-            owner, index = owner[valid], index[valid]
-            states[owner, index], weights[owner, index] = drawn[valid], weight[valid]
-            rejected[owner, index] = False
+            found = owner[valid], index[valid]
+            states[found], weights[found] = drawn[valid], weight[valid]
+            rejected[found] = False
+            owner, index = owner[~valid], index[~valid]
         self.predicted[:] = False
         starved = rejected.all(axis=1)
         rejected[starved] = False
@@ -160,11 +162,10 @@ class RejectionFilter(RedrawingFilter):
         states, weights = self.cloud.states, self.cloud.weights
         owner, index = np.nonzero(rejected)
         if len(owner):
-            # Survivors first in each vehicle's order, so that a random rank picks one.
-            survivors = np.argsort(rejected, axis=1, kind='stable')
             number = weights.shape[1] - rejected.sum(axis=1)
             rank = (self.rng.random(len(owner)) * number[owner]).astype(np.int64)
-            survivor = survivors[owner, rank]
+            first = np.cumsum(number) - number
+            survivor = np.flatnonzero(~rejected)[first[owner] + rank] % weights.shape[1]
             jitter = self.config.jitter * spread(self.cloud.particles)[owner, None]
             states[owner, index] = states[owner, survivor]
             weights[owner, index] = weights[owner, survivor]
@@ -176,7 +177,7 @@ class RejectionFilter(RedrawingFilter):
         """Let positions survive at random, as likely as they are; return which do."""
         return np.log(1 - self.rng.random(log_likelihood.shape, np.float32)) < log_likelihood
 
-    def redraw_in_boxes(self, low: Array, high: Array, weights: Array) -> Redraw:
+    def redraw_in_boxes(self, low: Array, high: Array, survived: Array) -> Redraw:
         """
         Return redraws within boxes, exactly as probable as the motion makes them there.
 
@@ -186,11 +187,12 @@ class RejectionFilter(RedrawingFilter):
         ----------
         low, high : (V, D) float
             Corners [m]; without any mass in it a box gives no valid draws.
-        weights : (V,) float
-            Of every draw.
+        survived : (V, N) bool
+            The particles that are kept, whose mean weight every draw gets.
 
         """
         kernel = self.kernel()
+        weights = _mean(self.cloud.weights, survived)
         mass = self.cloud.weights * kernel.mass(low, high)
         possible = mass.any(axis=1)
         columns = self.cloud.states.shape[2]
