@@ -24,6 +24,7 @@ NAMES = (
     'search',
     'methods',
     'codec',
+    'latency',
     'bag',
     'medium',
 )
