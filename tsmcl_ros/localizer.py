@@ -428,7 +428,8 @@ class Localizer:
         self._judge(observation)
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
-        if self.evidence_config.echo_guard > 0:
+        if self.evidence_config.echo_guard > 0 and (
+                self._hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
             estimate = self._hearsay.add(
                 estimate, claimed, observation, *self.channel.resolution(observation))
         estimate = self._through_outage(estimate, observation, motion)

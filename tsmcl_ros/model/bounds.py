@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +13,9 @@ _LOGISTIC_STD = 1.702
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class Bounds:
     """
-    Distances of V vehicles to B senders each that lie below (side 1) or above (side -1) a limit.
+    Distances of V vehicles to B senders each that lie below (side 1) or above (side -1) limits.
 
     Attributes
     ----------
@@ -29,12 +28,12 @@ class Bound:
     limit, std : (V, B) float
         Where the edge is, and the standard deviation of its softness: [m], or log10 of metres
         and its decades if `logarithmic`; 1 where not used.
-    side : int
+    side : (B,) int
         1 or -1.
-    silent : bool
+    silent : (B,) bool
         Whether it is about anchors that were not heard.
     logarithmic : bool
-        Whether the edge is soft on a logarithmic scale of distance, as under shadowing.
+        Whether edges are soft on a logarithmic scale of distance, as under shadowing.
 
     """
 
@@ -44,14 +43,14 @@ class Bound:
     used: Array
     limit: Array
     std: Array
-    side: int
-    silent: bool
+    side: Array
+    silent: Array
     logarithmic: bool
 
 
-def bounds(channel: Channel, observation: Observation, measured: Array) -> Iterator[Bound]:
+def bounds(channel: Channel, observation: Observation, measured: Array) -> Bounds:
     """
-    Yield what an observation says of distances beside what it measures.
+    Return what an observation says of distances beside what it measures.
 
     Parameters
     ----------
@@ -67,23 +66,24 @@ def bounds(channel: Channel, observation: Observation, measured: Array) -> Itera
     heard = observation.heard & (radius > 0) & ~measured & channel.switches.use_heard
     relayed = heard & (observation.hops == 2)
     said = observation.sender, observation.position, observation.covariance
-    yield _bound(channel, *said, heard, np.where(relayed, 2 * radius, radius), 1, False)
-    yield _bound(channel, *said, relayed, radius, -1, False)
+    groups = [(*said, heard, np.where(relayed, 2 * radius, radius), 1, False),
+              (*said, relayed, radius, -1, False)]
     silent = observation.silent
     if silent is not None and channel.switches.silence != 'none':
         radius = channel.radius(silent.max_range, silent.sender)
-        size = silent.position.shape[2]
-        exact = np.zeros((*silent.position.shape, size))
+        exact = np.zeros((*silent.position.shape, silent.position.shape[2]))
         used = silent.known & (radius > 0) & observation.heard.any(axis=1, keepdims=True)
-        yield _bound(channel, silent.sender, silent.position, exact, used, radius, -1, True)
-
-
-def _bound(channel: Channel, sender: Array, position: Array, covariance: Array, used: Array,
-           radius: Array, side: int, silent: bool) -> Bound:
+        groups.append((silent.sender, silent.position, exact, used, radius, -1, True))
+    *columns, side, silence = zip(
+        *([group for group in groups if group[3].any()] or groups[:1]), strict=True)
+    sender, position, covariance, used, radius = (
+        np.concatenate(parts, axis=1) for parts in columns)
+    width = [part.shape[1] for part in columns[0]]
     limit = np.where(used, radius, 1.0)
     logarithmic = channel.radio.radio_model == 'lognormal'
     if logarithmic:
         std, limit = 1 / channel.path_loss(sender).slope, np.log10(limit)
     else:
         std = _LOGISTIC_STD * channel.softness(limit)
-    return Bound(sender, position, covariance, used, limit, std, side, silent, logarithmic)
+    return Bounds(sender, position, covariance, used, limit, std, np.repeat(side, width),
+                  np.repeat(silence, width), logarithmic)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from tsmcl_ros.model import gaussian
 from tsmcl_ros.model.belief import Sight
-from tsmcl_ros.model.bounds import Bound, bounds
+from tsmcl_ros.model.bounds import Bounds, bounds
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Observation
 
@@ -57,21 +57,26 @@ def deviations(channel: Channel, observation: Observation, mean: Array, covarian
               np.where(known[:, None, None], covariance, np.eye(mean.shape[1])))
     distance, std, ranged = channel.distances(observation)
     powered = channel.powered(observation)
-    columns = [(observation.sender, ranged | powered, False, np.maximum(
-        _of_ranges(belief, observation, distance, std, ranged),
-        _of_powers(channel, belief, observation, powered)))]
-    columns += [(bound.sender, bound.used, bound.silent, _of_bound(belief, bound))
-                for bound in bounds(channel, observation, ranged | powered)]
+    measured = ranged | powered
+    bound = bounds(channel, observation, measured)
+    columns = [(bound.sender, bound.used, bound.silent, _of_bounds(belief, bound))]
+    if measured.any():
+        loud = np.zeros(measured.shape[1], bool)
+        columns.append((observation.sender, measured, loud, np.maximum(
+            _of_ranges(belief, observation, distance, std, ranged),
+            _of_powers(channel, belief, observation, powered))))
     said = np.concatenate([used & known[:, None] for _, used, _, _ in columns], axis=1)
     return Deviations(
         np.concatenate([sender for sender, *_ in columns], axis=1), said,
-        np.concatenate([np.full(used.shape, silent) for _, used, silent, _ in columns], axis=1),
+        np.broadcast_to(np.concatenate([silent for _, _, silent, _ in columns]), said.shape),
         np.where(said, np.concatenate([value for *_, value in columns], axis=1), 0))
 
 
 def _of_ranges(belief: tuple[Array, Array], observation: Observation, distance: Array,
                std: Array, ranged: Array) -> Array:
     """Return by how many standard deviations ranges (V, K) are off."""
+    if not ranged.any():
+        return np.zeros(ranged.shape)
     expected, variance = _expected(belief, observation.position, observation.covariance)
     return np.where(ranged, np.abs(distance - expected) / np.sqrt(std ** 2 + variance), 0)
 
@@ -89,7 +94,7 @@ def _of_powers(channel: Channel, belief: tuple[Array, Array], observation: Obser
     return np.where(powered, np.abs(measured - expected) / np.sqrt(std ** 2 + variance), 0)
 
 
-def _of_bound(belief: tuple[Array, Array], bound: Bound) -> Array:
+def _of_bounds(belief: tuple[Array, Array], bound: Bounds) -> Array:
     """Return by how many standard deviations distances (V, B) are on the wrong side."""
     expected, variance = _expected(belief, bound.position, bound.covariance, bound.logarithmic)
     wrong = bound.side * (expected - bound.limit)

@@ -145,17 +145,16 @@ class GaussianFilter:
     def _bound(self, observation: Observation, known: Array) -> None:
         """Take in who was heard without being measured, and who was silent."""
         measured = self.channel.distances(observation)[2] | self.channel.powered(observation)
-        for bound in bounds(self.channel, observation, measured):
-            used = bound.used & known[:, None]
-            if bound.silent:
-                # Ranges make silence superfluous.
-                used &= ~measured.any(axis=1, keepdims=True)
-            for row in np.flatnonzero(used.any(axis=0)).tolist():
-                sight = self.beliefs.sight(bound.position[:, row], bound.covariance[:, row])
-                if bound.logarithmic:
-                    sight = sight.on_log_scale()
-                self.beliefs.bound(used[:, row], sight, bound.limit[:, row], bound.side,
-                                   bound.std[:, row] ** 2)
+        bound = bounds(self.channel, observation, measured)
+        # Ranges make silence superfluous.
+        used = bound.used & known[:, None] & ~(
+            bound.silent & measured.any(axis=1, keepdims=True))
+        for row in np.flatnonzero(used.any(axis=0)).tolist():
+            sight = self.beliefs.sight(bound.position[:, row], bound.covariance[:, row])
+            if bound.logarithmic:
+                sight = sight.on_log_scale()
+            self.beliefs.bound(used[:, row], sight, bound.limit[:, row], int(bound.side[row]),
+                               bound.std[:, row] ** 2)
 
     def _lost(self, known: Array) -> Array:
         """Return which vehicles (V,) bool are not where they are believed to be."""

@@ -83,6 +83,8 @@ class HealthMonitor:
 
     def doubt(self, vehicle: Array) -> None:
         """Take vehicles (V,) bool for lost until beacons confirm them: they were placed anew."""
+        if not vehicle.any():
+            return
         self.lost[vehicle] = 1 - 1 / (1 + math.exp(_SUREST))
         self._drop(vehicle[self._pair >> _ID_BITS])
 
@@ -100,8 +102,11 @@ class HealthMonitor:
 
     def suspected(self, sender: Array) -> Array:
         """Return which senders, ids (V, R), their vehicles suspect."""
+        suspicious = self._suspicious
+        if not len(suspicious):
+            return np.zeros(sender.shape, bool)
         vehicle = np.arange(len(sender))[:, None]
-        found = np.isin((vehicle << _ID_BITS) + sender, self._suspicious)
+        found = np.isin((vehicle << _ID_BITS) + sender, suspicious)
         return np.asarray(found & (sender != PADDED))
 
     def suspects(self) -> list[list[int]]:
@@ -126,10 +131,12 @@ class HealthMonitor:
 
     def _judge_senders(self, sender: Array, contradicts: Array, counts: Array) -> None:
         """Weigh what the rows (V, R) that count say of their senders."""
+        # Most senders always agree, and nothing is held against them.
+        if not len(self._pair) and not (contradicts & counts).any():
+            return
         vehicle, row = np.nonzero(counts)
         pair = (vehicle << _ID_BITS) + sender[vehicle, row]
         change = np.where(contradicts[vehicle, row], self._for, self._against)
-        # Most senders always agree, and nothing is held against them.
         kept = np.isin(pair, np.union1d(self._pair, pair[change > 0]))
         pairs, place = np.unique(
             np.concatenate([self._pair, pair[kept]]), return_inverse=True)
