@@ -131,7 +131,7 @@ class TsMcl(ParticleFilter):
         for iteration in range(config.max_iterations):
             if not len(search.index):
                 break
-            neighbours = search.neighbours(rng, config.tabu_radius)
+            neighbours = search.neighbours(rng, config.tabu_radius, iteration)
             both = np.repeat(owner[search.index], 2)
             likelihoods = evidence.log_likelihood_of(
                 neighbours.reshape(len(both), -1), both).reshape(-1, 2)
@@ -162,13 +162,17 @@ class _Search:
         for name, values in vars(self).items():
             setattr(self, name, values[rows])
 
-    def neighbours(self, rng: np.random.Generator, tabu_radius: float) -> Array:
+    def neighbours(self, rng: np.random.Generator, tabu_radius: float, iteration: int) -> Array:
         """Return two positions (M, 2, D) [m] near each start, redrawn once where tabu."""
         shape = (len(self.index), 2, self.start.shape[1])
         step = ((1 - self.score) * self.scale)[:, None, None]
         drawn = self.start[:, None] + step * rng.standard_normal(shape, np.float32)
-        apart = np.square(drawn[:, :, None] - self.tabu[:, None]).sum(axis=3).min(axis=2)
-        tabu = apart < np.square(tabu_radius * self.scale)[:, None]
+        tabu = np.zeros(shape[:2], bool)
+        near = np.square(tabu_radius * self.scale)[:, None]
+        # One entry and one axis after the other: sums of two or three numbers are slow.
+        for entry in range(min(iteration, self.tabu.shape[1])):
+            apart = np.square(drawn - self.tabu[:, None, entry])
+            tabu |= sum(apart[:, :, axis] for axis in range(1, shape[2])) + apart[:, :, 0] < near
         if tabu.any():
             again = self.start[:, None] + step * rng.standard_normal(shape, np.float32)
             drawn = np.where(tabu[:, :, None], again, drawn)

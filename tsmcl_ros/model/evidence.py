@@ -25,6 +25,8 @@ _CHUNK = 8192
 _FACTORS = 100
 # A radius that everything is inside of [m].
 ENDLESS = 1e30
+# What is nearer than this counts as this far, as path loss has no bound [m].
+_NEAREST = 1e-3
 
 
 class Factor(Protocol):
@@ -198,7 +200,7 @@ class ShadowedBoundary:
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
         distance, variance = self.references.distance(points)
-        distance = np.maximum(distance, np.float32(1e-3))
+        distance = np.maximum(distance, np.float32(_NEAREST))
         excess = self.side * self.slope * np.log10(self.radius / distance)
         if variance is not None:
             excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
@@ -230,13 +232,17 @@ class Power:
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
         distance, variance = self.references.distance(points)
-        distance = np.maximum(distance, np.float32(1e-3))
-        residual = self.excess + self.slope * np.log10(distance)
-        squared = residual * residual
-        if variance is not None:
-            widened = _power_variance(self.slope, variance, distance)
-            squared = squared / widened + np.log(widened)
-        return heavy_tailed(np.float32(-0.5) * self.weight * squared, self.floor).sum(axis=1)
+        np.clip(distance, _NEAREST, ENDLESS, out=distance)
+        widened = None if variance is None else _power_variance(self.slope, variance, distance)
+        squared = np.log10(distance, out=distance)
+        squared *= self.slope
+        squared += self.excess
+        squared *= squared
+        if widened is not None:
+            squared /= widened
+            squared += np.log(widened)
+        squared *= np.float32(-0.5) * self.weight
+        return np.asarray(heavy_tailed(squared, self.floor).sum(axis=1))
 
     def at(self, vehicle: Array | slice) -> Power:
         """Return the factor for other points: see `Factor`."""
@@ -361,4 +367,7 @@ def heavy_tailed(score: Array, floor: float) -> Array:
     """Return log((1 - floor) exp(score) + floor) for log-likelihoods of inliers."""
     if floor == 0:
         return score
-    return np.log((1 - np.float32(floor)) * np.exp(score) + np.float32(floor))
+    likelihood = np.exp(score)
+    likelihood *= 1 - np.float32(floor)
+    likelihood += np.float32(floor)
+    return np.log(likelihood, out=likelihood)

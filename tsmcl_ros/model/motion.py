@@ -89,7 +89,9 @@ class RandomMotion:
 
     def predict(self, states: Array, motion: Motion, rng: np.random.Generator) -> Array:
         """Return the states (V, N, D) after the motion, each vehicle's evenly spread."""
-        return states + even_ball(states.shape, self.reach(motion.elapsed), rng)
+        moved = even_ball(states.shape, self.reach(motion.elapsed), rng)
+        moved += states
+        return moved
 
     def kernel(self, states: Array, motion: Motion, rng: np.random.Generator) -> BallKernel:
         """Return the balls around the states (V, N, D)."""
@@ -272,12 +274,14 @@ def even_ball(shape: tuple[int, int, int], radius: float, rng: np.random.Generat
     distance = np.float32(radius) * (
         np.sqrt(even[:, :, 0]) if dimension == 2 else np.cbrt(even[:, :, 0]))
     azimuth = np.float32(2 * math.pi) * even[:, :, 1]
-    if dimension == 2:
-        return np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth)], axis=2)
-    height = 2 * even[:, :, 2] - 1
-    across = distance * np.sqrt(1 - np.square(height))
-    return np.stack(
-        [across * np.cos(azimuth), across * np.sin(azimuth), distance * height], axis=2)
+    points = np.empty(shape, np.float32)
+    if dimension == 3:
+        height = 2 * even[:, :, 2] - 1
+        np.multiply(distance, height, out=points[:, :, 2])
+        distance *= np.sqrt(1 - np.square(height))
+    np.multiply(distance, np.cos(azimuth), out=points[:, :, 0])
+    np.multiply(distance, np.sin(azimuth), out=points[:, :, 1])
+    return points
 
 
 def motion_model(config: MotionConfig, dimension: int, odometry: bool) -> MotionModel:

@@ -18,7 +18,8 @@ def normalize(log_weights: Array) -> tuple[Array, Array]:
     """
     peak = log_weights.max(axis=1, keepdims=True)
     empty = np.isneginf(peak)
-    weights = np.exp(log_weights - np.where(empty, 0, peak))
+    weights = log_weights - np.where(empty, 0, peak)
+    np.exp(weights, out=weights)
     total = weights.sum(axis=1, keepdims=True)
     if empty.any():
         weights[empty[:, 0]], total[empty] = 1, log_weights.shape[1]

@@ -19,6 +19,8 @@ def even_shares(number: Array, vehicles: int, dimension: int, rng: np.random.Gen
     that makes each of them uniform on its own (Cranley and Patterson 1976).
     """
     even = ((number[:, None] * np.asarray(_RECURRENCE[dimension])) % 1).astype(np.float32)
-    even = even + rng.random((vehicles, 1, dimension), np.float32)
-    even -= even >= 1
-    return np.asarray(even)
+    shift = rng.random((vehicles, 1, dimension), np.float32)
+    # Axis by axis in memory, as they are used.
+    points = even.T[:, None] + np.moveaxis(shift, 2, 0)
+    points -= np.floor(points)
+    return np.moveaxis(points, 0, 2)
