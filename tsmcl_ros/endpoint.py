@@ -100,12 +100,11 @@ class Endpoint:
 
     def poses(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
         """Yield each localized vehicle's index and its serialized pose."""
-        yaw = estimate.yaw
-        for vehicle in np.flatnonzero(np.isfinite(estimate.mean).all(axis=1)).tolist():
-            yield vehicle, messages.encode_pose(
-                estimate.stamp, self.frame_id, estimate.mean[vehicle],
-                estimate.covariance[vehicle], float(yaw[vehicle]),
-                float(estimate.rotation_variance[vehicle]))
+        placed = np.flatnonzero(np.isfinite(estimate.mean).all(axis=1))
+        data = messages.encode_poses(
+            estimate.stamp, self.frame_id, estimate.mean[placed], estimate.covariance[placed],
+            estimate.yaw[placed], estimate.rotation_variance[placed])
+        yield from zip(placed.tolist(), data, strict=True)
 
     def periods(self, estimate: Estimate) -> Iterator[tuple[int, bytes]]:
         """Yield the index of each vehicle that wants another beacon period now, and which."""

@@ -234,17 +234,28 @@ class Localizer:
         return isinstance(self.method_config, PeriodConfig) and self.method_config.asks
 
     @property
+    def status(self) -> Array:
+        """(V,) int: OK, STALE or LOST as of the last epoch."""
+        stale = self._age > self.health_config.stale_after
+        return np.where(self._lost > 0.5, LOST, np.where(stale, STALE, OK))
+
+    @property
     def health(self) -> Health:
         """How the localization is doing as of the last epoch."""
-        placed = np.zeros(self.vehicles, bool)
-        if self._estimate is not None:
-            placed = np.isfinite(self._estimate.mean[:, 0])
-        age = (self._last if self._last is not None else 0.0) - self._heard_at
-        lost = np.where(placed, self._monitor.lost, 1)
-        stale = age > self.health_config.stale_after
-        return Health(
-            np.where(lost > 0.5, LOST, np.where(stale, STALE, OK)), lost,
-            self._monitor.suspects(), age, self._reinitializations.copy())
+        return Health(self.status, self._lost, self._monitor.suspects(), self._age,
+                      self._reinitializations.copy())
+
+    @property
+    def _lost(self) -> Array:
+        """(V,) float: probability of being lost, 1 before a vehicle is placed."""
+        if self._estimate is None:
+            return np.ones(self.vehicles)
+        return np.where(np.isfinite(self._estimate.mean[:, 0]), self._monitor.lost, 1)
+
+    @property
+    def _age(self) -> Array:
+        """(V,) float: time since the last beacon [s]."""
+        return (self._last if self._last is not None else 0.0) - self._heard_at
 
     def anchor_map(self, anchors: Observation) -> None:
         """
@@ -370,9 +381,11 @@ class Localizer:
         estimates, self._ready = self._ready, []
         while (stamp := self._next_stamp()) is not None and self._settled(stamp):
             heard = self._pending.pop(stamp, {})
-            nothing = Observation.empty(1, 0, self.config.dimension, stamp)
+            if len(heard) < self.vehicles:
+                nothing = Observation.empty(1, 0, self.config.dimension, stamp)
+                heard = dict.fromkeys(range(self.vehicles), nothing) | heard
             observation = Observation.stack(
-                [heard.get(vehicle, nothing) for vehicle in range(self.vehicles)], stamp)
+                [heard[vehicle] for vehicle in range(self.vehicles)], stamp)
             estimates.append(self._epoch(observation))
         return estimates
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 import math
+import struct
 
 import numpy as np
 from tsmcl_ros import cdr
 from tsmcl_ros.messages.covariances import is_covariance
-from tsmcl_ros.messages.stamps import read_header, write_header
+from tsmcl_ros.messages.stamps import read_header, split, write_header
 from tsmcl_ros.types import Array, MessageError, Odometry
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -27,6 +29,10 @@ TWIST = 6 + 36
 """Doubles of a TwistWithCovariance."""
 
 _ZEROS = (0.0,) * 36
+
+_STAMP = struct.Struct('<iI')
+# The 43 doubles of a pose with covariance: position, quaternion, covariance.
+_UNKNOWN_POSE = np.array([*_ZEROS[:6], 1.0, *np.diag([UNMEASURED] * 6).ravel()], '<f8')
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,17 +160,47 @@ def encode_pose(
         [rad, rad^2]; NaN if not measured.
 
     """
-    dimension = len(mean)
-    full = np.diag([UNMEASURED] * 6)
-    full[:dimension, :dimension] = covariance
-    if not math.isnan(yaw):
-        full[5, 5] = yaw_variance
-    writer = cdr.Writer()
-    write_header(writer, stamp, frame_id)
-    position = [*_checked(mean), *_ZEROS[:3 - dimension]]
-    writer.values('7d', *position, *_quaternion(yaw))
-    writer.values('36d', *full.ravel().tolist())
-    return writer.finish()
+    data, = encode_poses(
+        stamp, frame_id, mean[np.newaxis], covariance[np.newaxis], np.array([yaw]),
+        np.array([yaw_variance]))
+    return data
+
+
+def encode_poses(
+    stamp: float, frame_id: str, mean: Array, covariance: Array, yaw: Array, yaw_variance: Array,
+) -> list[bytes]:
+    """
+    Return poses of V vehicles at one time, as `encode_pose` does one.
+
+    Parameters
+    ----------
+    stamp
+        [s].
+    frame_id
+        Frame of the poses.
+    mean : (V, D) float
+        Positions [m].
+    covariance : (V, D, D) float
+        [m^2].
+    yaw, yaw_variance : (V,) float
+        [rad, rad^2]; NaN if not measured.
+
+    """
+    head = cdr.HEADER + _STAMP.pack(*split(stamp)) + _after_stamp(frame_id)
+    count, dimension = mean.shape
+    if not np.isfinite(mean).all():
+        for place in mean:
+            _checked(place)
+    doubles = np.empty((count, len(_UNKNOWN_POSE)), '<f8')
+    doubles[:] = _UNKNOWN_POSE
+    doubles[:, :dimension] = mean
+    full = doubles[:, 7:].reshape(count, 6, 6)
+    full[:, :dimension, :dimension] = covariance
+    for row, angle in enumerate(yaw.tolist()):
+        if not math.isnan(angle):
+            doubles[row, 3:7] = _quaternion(angle)
+            full[row, 5, 5] = yaw_variance[row]
+    return [head + row.tobytes() for row in doubles]
 
 
 def encode_pose_array(stamp: float, frame_id: str, particles: Array) -> bytes:
@@ -201,6 +237,15 @@ def _quaternion(yaw: float) -> tuple[float, float, float, float]:
     if math.isnan(yaw):
         return 0.0, 0.0, 0.0, 1.0
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+@lru_cache(maxsize=16)
+def _after_stamp(frame_id: str) -> bytes:
+    """Return what follows the stamp of a message before its first double."""
+    writer = cdr.Writer()
+    write_header(writer, 0.0, frame_id)
+    writer.align(8)
+    return writer.finish()[len(cdr.HEADER) + _STAMP.size:]
 
 
 def _checked(position: Array) -> list[float]:

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.publisher import Publisher
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
@@ -112,8 +113,10 @@ class LocalizerNode(ManagedNode):
         self._clouds: list[Publisher] = []
         self._offer_clouds()
         self._cloud_rest = Rest()
+        # Made for who looks at them only; who comes later gets the last ones then.
         self._markers = self.create_lifecycle_publisher(
-            MarkerArray, 'markers', runtime.LATCHED)
+            MarkerArray, 'markers', runtime.LATCHED,
+            event_callbacks=PublisherEventCallbacks(matched=self._show))
         self._marker_rest = Rest()
         self._diagnosis_rest = Rest()
         self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
@@ -196,24 +199,36 @@ class LocalizerNode(ManagedNode):
             for publisher, particles in zip(
                 self._clouds, self._localizer.particles, strict=True,
             ):
-                publisher.publish(messages.encode_pose_array(
-                    estimate.stamp, self._output.global_frame_id, particles))
+                if publisher.get_subscription_count():
+                    publisher.publish(messages.encode_pose_array(
+                        estimate.stamp, self._output.global_frame_id, particles))
         if self._marker_rest.is_over(estimate.stamp, self._output.marker_period):
+            self._publish_markers(estimate)
+
+    def _publish_markers(self, estimate: Estimate) -> None:
+        if self._markers.get_subscription_count():
             suspects = {
                 each for known in self._localizer.health.suspects for each in known}
             self._markers.publish(views.markers(
                 estimate, self._anchors, suspects, self._localizer.channel.radio_range,
                 self._output.global_frame_id))
 
+    def _show(self, _: QoSPublisherMatchedInfo) -> None:
+        """Publish the latest markers to somebody who has just begun to listen."""
+        if self._estimate is not None and self._output.marker_period and self.state == 'active':
+            self._publish_markers(self._estimate)
+
     def _note_status(self, stamp: float) -> None:
         """Log changes of the vehicles' status, one line for all that change alike."""
-        status = self._localizer.health.status
+        status = self._localizer.status
         changed = status != self._status
-        for value in np.unique(status[changed]).tolist():
-            rows = np.flatnonzero(changed & (status == value)).tolist()
-            self.get_logger().info(f'{NAMES[value]}: {_enumerate(self._vehicles, rows)}')
+        has_changed = changed.any()
+        if has_changed:
+            for value in np.unique(status[changed]).tolist():
+                rows = np.flatnonzero(changed & (status == value)).tolist()
+                self.get_logger().info(f'{NAMES[value]}: {_enumerate(self._vehicles, rows)}')
         self._status = status
-        if self._diagnosis_rest.is_over(stamp, DIAGNOSTICS_PERIOD) or changed.any():
+        if self._diagnosis_rest.is_over(stamp, DIAGNOSTICS_PERIOD) or has_changed:
             self._diagnose(stamp)
 
     def _diagnose_anyway(self) -> None:
@@ -230,8 +245,10 @@ class LocalizerNode(ManagedNode):
     def _diagnose(self, stamp: float) -> None:
         """Publish how each vehicle's localization is doing at a time [s]."""
         self._diagnosed = time.monotonic()
+        if not self._diagnostics.get_subscription_count():
+            return
         silence = self._diagnosed - self._arrival
-        status = self._localizer.health.status
+        status = self._localizer.status
         if silence > self._localizer.health_config.stale_after:
             status = np.maximum(status, STALE)
         diagnoses = diagnose(
