@@ -6,7 +6,7 @@ DDS is never mocked. Each pytest process, and so each xdist worker, has a ROS do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 import os
 from pathlib import Path
@@ -96,10 +96,11 @@ class Executable:
 
     """
 
-    def __init__(self, module: str, arguments: tuple[str, ...], cwd: Path) -> None:
+    def __init__(self, module: str, arguments: tuple[str, ...], cwd: Path,
+                 within: Sequence[str] = ()) -> None:
         self.module = module
         self.process = subprocess.Popen(
-            [sys.executable, '-m', f'tsmcl_ros.{module}', *arguments],
+            [*within, sys.executable, '-m', f'tsmcl_ros.{module}', *arguments],
             cwd=cwd,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -174,12 +175,14 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
     Return a function that starts one of the package's executables.
 
     `start('nodes.localizer', '--ros-args', '-p', 'seed:=1')` runs it in the test's temporary
-    folder; neither it nor what it started outlives the test.
+    folder; neither it nor what it started outlives the test. `within` precedes its command line,
+    such as `env`.
     """
     started: list[Executable] = []
 
-    def start_one(module: str, *arguments: object, cwd: Path | None = None) -> Executable:
-        executable = Executable(module, tuple(map(str, arguments)), cwd or tmp_path)
+    def start_one(module: str, *arguments: object, cwd: Path | None = None,
+                  within: Sequence[str] = ()) -> Executable:
+        executable = Executable(module, tuple(map(str, arguments)), cwd or tmp_path, within)
         started.append(executable)
         return executable
 
