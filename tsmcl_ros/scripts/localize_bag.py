@@ -195,7 +195,9 @@ def localize_bag(
                 for copy in kept.get(message.topic, ()):
                     with outcome.counting(message.topic):
                         writer.write(copy.topic, message.stamp, copy.convert(message.data))
-                for kind, handler in takers.get(message.topic, ()):
+                if message.topic not in takers:
+                    continue
+                for kind, handler in takers[message.topic]:
                     with outcome.counting(message.topic):
                         _hand(handler, kind, message)
                 if math.isnan(outcome.lag) and localizer.now > -math.inf:
