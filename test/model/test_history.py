@@ -33,6 +33,18 @@ def test_only_the_last_slots_are_kept():
     np.testing.assert_allclose(history.last(4)[0][0, :, 0], [15.5, 16.5, 17.5, 18.5])
 
 
+@pytest.mark.parametrize('step', [1, 3, 7, 300])
+def test_a_history_is_as_long_however_time_has_passed(step):
+    history = History(1, 2, 8)
+    for stamp in range(0, 400 * step, step):
+        learn(history, float(stamp), stamp)
+        assert history.position.shape == (1, 8, 2)
+    known = np.isfinite(history.variance[0])
+    assert known.sum() == (8 if step < 30 else 1)
+    np.testing.assert_allclose(
+        history.position[0, known, 0], np.arange(stamp - known.sum() + 1, stamp + 1))
+
+
 def test_the_last_positions_can_be_had_after_time_has_passed():
     history = History(1, 2, 16)
     for stamp in range(6):

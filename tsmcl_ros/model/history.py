@@ -9,6 +9,8 @@ from tsmcl_ros.types import Array
 
 SLOT = 1.0  # s, between two positions of a history
 BRIDGED = 30.0  # s, the longest gap across which a history is interpolated
+# Slots of the time to come in the tables: moved on all at once, which is cheap if it is seldom.
+_SPARE = 128
 
 
 class History:
@@ -35,11 +37,22 @@ class History:
 
     def __init__(self, vehicles: int, dimension: int, slots: int):
         self._slot = -math.inf
-        self.position = np.zeros((vehicles, slots, dimension))
-        self.variance = np.full((vehicles, slots), np.inf)
+        self._slots = self._end = slots
+        self._position = np.zeros((vehicles, slots + _SPARE, dimension))
+        self._variance = np.full((vehicles, slots + _SPARE), np.inf)
         self.stamp = np.full(vehicles, -np.inf)
         self.mean = np.zeros((vehicles, dimension))
         self.covariance = np.zeros((vehicles, dimension, dimension))
+
+    @property
+    def position(self) -> Array:
+        """(V, S, D) float64: see the class."""
+        return self._position[:, self._end - self._slots:self._end]
+
+    @property
+    def variance(self) -> Array:
+        """(V, S) float64: see the class."""
+        return self._variance[:, self._end - self._slots:self._end]
 
     def forget(self, which: Array | int) -> None:
         """Drop what is known of these vehicles, an index or (V,) bool."""
@@ -73,7 +86,9 @@ class History:
         since = self.stamp[rows]
         # What is not bridged fills but a slot of just this time.
         since = np.where(since < stamp - BRIDGED, np.nextafter(stamp, -np.inf), since)
-        recent = min(int(BRIDGED / SLOT) + 1, self.position.shape[1])
+        # None before the last time that somebody was heard is inside.
+        recent = min(max(int(self._slot - since.min() / SLOT) + 1, 1),
+                     int(BRIDGED / SLOT) + 1, self._slots)
         time = (self._slot - np.arange(recent)[::-1]) * SLOT
         inside = time > since[:, None]
         passed = np.maximum(stamp - since[:, None], 1e-12)
@@ -120,11 +135,16 @@ class History:
     def pass_time(self, stamp: float) -> None:
         """Let the last slot be the one of this time [s]."""
         slot = math.floor(stamp / SLOT)
-        passed = min(slot - self._slot, self.position.shape[1])
+        passed = int(min(slot - self._slot, self._slots))
         if passed > 0:
-            for slots, unknown in ((self.position, 0), (self.variance, np.inf)):
-                slots[:, :-passed or None] = slots[:, passed:]
-                slots[:, -passed:] = unknown
+            if self._end + passed > self._variance.shape[1]:
+                kept = self._slots - passed
+                for values in (self._position, self._variance):
+                    values[:, :kept] = values[:, self._end - kept:self._end]
+                self._end = kept
+            self._position[:, self._end:self._end + passed] = 0
+            self._variance[:, self._end:self._end + passed] = np.inf
+            self._end += passed
             self._slot = slot
 
 

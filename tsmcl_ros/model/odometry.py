@@ -19,40 +19,41 @@ class OdometryBuffer:
 
     Attributes
     ----------
+    latest : (V,) float64
+        Stamp of each vehicle's last pose [s], -inf if there is none.
     at_epoch : (V, 4) float64
         Position [m] and yaw [rad] at the last epoch, NaN where there is no odometry.
 
     """
 
     def __init__(self, vehicles: int, depth: int = 256):
+        self._vehicle = np.arange(vehicles)
+        # Rings: what follows the newest pose is the oldest.
         self._stamp = np.full((vehicles, depth), -np.inf)
         self._pose = np.zeros((vehicles, depth, 4))
+        self._newest = np.zeros(vehicles, int)
+        self.latest = np.full(vehicles, -np.inf)
         self.at_epoch = np.full((vehicles, 4), np.nan)
-
-    @property
-    def latest(self) -> Array:
-        """(V,) float: stamp of each vehicle's last pose [s], -inf if there is none."""
-        return self._stamp[:, -1]
 
     def add(self, vehicle: int, odometry: Odometry) -> None:
         """Append one vehicle's pose; its yaw is unwrapped."""
-        stamp, pose = self._stamp[vehicle], self._pose[vehicle]
-        turn = odometry.yaw - pose[-1, 3]
-        stamp[:-1] = stamp[1:]
-        pose[:-1] = pose[1:]
-        stamp[-1] = odometry.stamp
-        pose[-1, :3] = odometry.position
-        pose[-1, 3] += (turn + np.pi) % (2 * np.pi) - np.pi
+        self._append(vehicle, odometry.stamp, odometry.position, odometry.yaw)
 
     def add_all(self, stamp: float, position: Array, yaw: Array | None) -> None:
         """Append a pose of every vehicle: (V, D) [m], (V,) [rad]."""
-        turn = 0 if yaw is None else yaw - self._pose[:, -1, 3]
-        self._stamp[:, :-1] = self._stamp[:, 1:]
-        self._pose[:, :-1] = self._pose[:, 1:]
-        self._stamp[:, -1] = stamp
-        self._pose[:, -1] = self._pose[:, -2]
-        self._pose[:, -1, :position.shape[1]] = position
-        self._pose[:, -1, 3] += (turn + np.pi) % (2 * np.pi) - np.pi
+        self._append(self._vehicle, stamp, position, yaw)
+
+    def _append(self, vehicle: Array | int, stamp: float, position: Array,
+                yaw: Array | float | None) -> None:
+        """Append a pose of one vehicle, or of each of some."""
+        newest = self._newest[vehicle]
+        pose = self._pose[vehicle, newest].copy()
+        turn = 0 if yaw is None else yaw - pose[..., 3]
+        pose[..., :position.shape[-1]] = position
+        pose[..., 3] += (turn + np.pi) % (2 * np.pi) - np.pi
+        self._newest[vehicle] = newest = (newest + 1) % self._stamp.shape[1]
+        self._pose[vehicle, newest] = pose
+        self._stamp[vehicle, newest] = self.latest[vehicle] = stamp
 
     def motion(self, since: float | None, until: float, dimension: int) -> Motion | None:
         """
@@ -70,13 +71,14 @@ class OdometryBuffer:
 
     def _interpolate(self, stamp: float) -> Array:
         """Return the poses (V, 4) at a stamp [s]; the nearest one outside of what is known."""
-        depth = self._stamp.shape[1]
+        depth, vehicle = self._stamp.shape[1], self._vehicle
+        # Counted from the oldest.
         after = np.minimum((self._stamp < stamp).sum(axis=1), depth - 1)
-        vehicle = np.arange(len(after))
-        before = np.maximum(after - 1, 0)
+        before = (self._newest + np.maximum(after, 1)) % depth
+        after = (self._newest + 1 + after) % depth
         low, high = self._stamp[vehicle, before], self._stamp[vehicle, after]
         with np.errstate(divide='ignore', invalid='ignore'):
-            share = np.clip((stamp - low) / (high - low), 0, 1)
+            share = np.minimum(np.maximum((stamp - low) / (high - low), 0), 1)
         share = np.where(np.isfinite(low) & (high > low), share, 1)[:, None]
         pose = (1 - share) * self._pose[vehicle, before] + share * self._pose[vehicle, after]
         return np.where(np.isfinite(high)[:, None], pose, np.nan)
