@@ -72,7 +72,8 @@ class References:
     @classmethod
     def lay_out(cls, position: Array, covariance: Array) -> References:
         """Lay out positions (V, E, D) and covariances (V, E, D, D) against points."""
-        position = np.moveaxis(np.asarray(position, np.float32), 2, 0)[..., None]
+        position = np.asarray(position, np.float32).transpose(2, 1, 0).copy()
+        position = np.swapaxes(position, 1, 2)[..., None]
         if not covariance.any():
             return cls(position, None, None)
         # A hair less, so that rounding cannot find a direction with less variance.
@@ -328,8 +329,12 @@ def _chunks(count: int, size: int = 1) -> list[slice]:
 
 
 def column(values: Array) -> Array:
-    """Lay out per-reference values (V, E) against points: (V, E, 1) float32."""
-    return np.asarray(values, np.float32)[:, :, None]
+    """
+    Lay out per-reference values (V, E) against points: (V, E, 1) float32.
+
+    One reference's values lie together in memory, as `flat` takes them.
+    """
+    return np.asarray(values, np.float32, order='F')[:, :, None]
 
 
 def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:

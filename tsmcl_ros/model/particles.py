@@ -32,15 +32,17 @@ def effective_sample_size(weights: Array) -> Array:
     return np.asarray(1 / np.einsum('vn,vn->v', weights, weights).astype(np.float64))
 
 
-def coordinates(points: Array) -> list[Array]:
-    """Return the D coordinates of points (V, N, D), (V, N) each and contiguous."""
-    return [np.ascontiguousarray(points[:, :, axis]) for axis in range(points.shape[2])]
+def coordinates(points: Array) -> Array:
+    """Return the coordinates of points (V, N, D) axis by axis in memory: a copy (D, V, N)."""
+    return np.moveaxis(points, 2, 0).copy()
 
 
 def spread(points: Array) -> Array:
     """Return the standard deviation per axis [m] (V,) of clouds of points (V, N, D)."""
-    variances = [axis.var(axis=1) for axis in coordinates(points)]
-    return np.sqrt(sum(variances[1:], variances[0]) / np.float32(len(variances)))
+    axes = coordinates(points)
+    axes -= axes.mean(axis=2, keepdims=True)
+    squared = np.einsum('dvn,dvn->v', axes, axes)
+    return np.asarray(np.sqrt(squared / squared.dtype.type(points[0].size)))
 
 
 def systematic_resample(weights: Array, count: int, rng: np.random.Generator) -> Array:
@@ -114,20 +116,12 @@ def moments(particles: Array, weights: Array, error: Array | None = None) -> tup
     unweighted cloud's mean square about the mean is added to the covariance.
     """
     axes = coordinates(particles)
-    shape = len(particles), len(axes)
-    mean, covariance = np.empty(shape), np.empty((*shape, len(axes)))
-    for number, axis in enumerate(axes):
-        # Twice, as float32 resolves what is left about a mean far better than the mean.
-        rough = np.einsum('vn,vn->v', weights, axis)
-        axes[number] = deviation = axis - rough[:, None]
-        rest = np.einsum('vn,vn->v', weights, deviation)
-        deviation -= rest[:, None]
-        mean[:, number] = rough.astype(np.float64) + rest
+    # Twice, as float32 resolves what is left about a mean far better than the mean.
+    rough = np.einsum('vn,dvn->dv', weights, axes)
+    deviation = axes - rough[:, :, None]
+    rest = np.einsum('vn,dvn->dv', weights, deviation)
+    deviation -= rest[:, :, None]
     if error is not None:
         weights = weights + (error / weights.shape[1]).astype(weights.dtype)[:, None]
-    for row, axis in enumerate(axes):
-        weighted = weights * axis
-        for column in range(row + 1):
-            covariance[:, row, column] = covariance[:, column, row] = np.einsum(
-                'vn,vn->v', weighted, axes[column])
-    return mean, covariance
+    covariance = np.einsum('ivn,jvn->vij', weights * deviation, deviation)
+    return (rough.astype(np.float64) + rest).T, covariance.astype(np.float64)
