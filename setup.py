@@ -15,6 +15,8 @@ REQUIRED = [
     'PyYAML>=6.0.1,<7',
     'numpy>=1.26,<3',
     'rosbags>=0.11,<0.12',
+    # What rosbags reads and writes YAML by; without it to open a bag of a fleet takes seconds.
+    'ruamel.yaml.clib>=0.2.8,<0.3',
     'scipy>=1.11,<2',
     'tqdm>=4.66,<5',
 ]

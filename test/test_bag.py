@@ -134,6 +134,13 @@ def test_stamps_of_today_survive_as_the_doubles_that_they_are(tmp_path, storage)
     assert [messages.decode_clock(one.data) for one in found] == stamps
 
 
+def test_large_messages_reach_the_disk_at_once(tmp_path):
+    with Writer(tmp_path / 'bag') as bag:
+        bag.topic('/image', 'sensor_msgs/msg/Image')
+        bag.write('/image', 1.0, bytes(2**21))
+        assert storage_of(tmp_path / 'bag').stat().st_size > 2**21
+
+
 def test_rosbags_reads_the_bag_by_its_own_definitions(bag):
     with AnyReader([bag]) as reader:
         found = [reader.deserialize(data, connection.msgtype)

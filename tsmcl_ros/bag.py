@@ -34,7 +34,9 @@ from tsmcl_ros.types import BagError
 
 STORAGES = ('mcap', 'sqlite3')
 
-_BATCH = 256  # messages: what guards the writing of one costs more than the writing
+# What guards the writing of one message costs more than the writing.
+_BATCH = 256  # messages
+_BATCH_SIZE = 2**20  # bytes
 
 _SECOND = 1_000_000_000
 _MAX_STAMP = 2**33  # s, what still fits into 64 bits of nanoseconds
@@ -181,6 +183,7 @@ class Writer:
             raise BagError(f'{self.path}: exists already, bags are never overwritten')
         self._connections: dict[str, Connection] = {}
         self._pending: list[tuple[Connection, int, bytes]] = []
+        self._pending_size = 0
         self._open = False
         try:
             with _writable(self.path):
@@ -245,7 +248,8 @@ class Writer:
         whole, part = divmod(stamp, 1)
         nanoseconds = int(whole) * _SECOND + round(part * _SECOND)
         self._pending.append((self._connections[name], nanoseconds, data))
-        if len(self._pending) >= _BATCH:
+        self._pending_size += len(data)
+        if len(self._pending) >= _BATCH or self._pending_size >= _BATCH_SIZE:
             with _writable(self.path):
                 self._flush()
 
@@ -258,7 +262,7 @@ class Writer:
                 self._bag.close()
 
     def _flush(self) -> None:
-        pending, self._pending = self._pending, []
+        pending, self._pending, self._pending_size = self._pending, [], 0
         for message in pending:
             self._bag.write(*message)
 

@@ -102,8 +102,8 @@ class Case:
         opening, bare = each['opening it and a new one'], each['bare filter']
         rest = each['localize_bag'] - bare - opening
         return (f'Of {each["localize_bag"]:.0f} us an epoch of a vehicle the bare filter takes '
-                f'{bare:.0f}, to open two bags of {self._topics} topics {opening:.0f} (YAML in '
-                f'Python, once a bag), to read, decode, encode and write {rest:.0f}.')
+                f'{bare:.0f}, to open two bags of {self._topics} topics {opening:.0f} (YAML, '
+                f'once a bag), to read, decode, encode and write {rest:.0f}.')
 
     def rows(self) -> Iterator[list[str]]:
         """Yield a row of the table for each way."""

@@ -30,7 +30,7 @@ def decode_poses(messages: Sequence[bytes]) -> Trajectory:
 
     """
     trajectory, covariance = _decode_trajectory(messages, strings=1, tail=0)
-    return replace(trajectory, covariance=covariance[:, :3, :3].copy())
+    return replace(trajectory, covariance=covariance)
 
 
 def decode_odometries(messages: Sequence[bytes]) -> Trajectory:
@@ -47,12 +47,12 @@ def _decode_trajectory(
     messages: Sequence[bytes], strings: int, tail: int,
 ) -> tuple[Trajectory, Array]:
     """
-    Return the trajectory of messages of one layout, and the (T, 6, 6) covariances of its poses.
+    Return the trajectory of messages of one layout, and its positions' covariances (T, 3, 3).
 
     Messages hold a stamp, texts (`strings` of them), a pose with its covariance, and a `tail` of
     doubles. As all have the same texts, they differ in what pads their ends at most.
     """
-    blocks = [np.empty(0, _STAMPED_POSE)]
+    blocks = []
     texts = None
     done = 0
     for _, group in groupby(messages, key=len):
@@ -78,14 +78,16 @@ def _decode_trajectory(
         })
         blocks.append(np.frombuffer(data, view).astype(_STAMPED_POSE))
         done += len(block)
-    rows = np.concatenate(blocks)
-    _check_doubles(rows['doubles'])
+    # Most bags have one block, which need not be copied.
+    rows = blocks[0] if len(blocks) == 1 else np.concatenate(
+        [np.empty(0, _STAMPED_POSE), *blocks])
+    doubles = rows['doubles']
+    _check_doubles(doubles)
     stamp = join_in_order(rows['seconds'].astype(np.int64), rows['nanoseconds'])
     new = np.diff(stamp, prepend=-1.0) > 0
-    doubles = rows['doubles'][new]
     covariance = doubles[:, 7:].reshape(-1, 6, 6)
     yaw = np.where(covariance[:, 5, 5] >= UNMEASURED, np.nan, yaw_of(*doubles[:, 3:7].T))
-    return Trajectory(stamp[new], doubles[:, :3].copy(), yaw), covariance
+    return Trajectory(stamp[new], doubles[new, :3], yaw[new]), covariance[new, :3, :3]
 
 
 def _read_texts(data: bytes, strings: int) -> tuple[cdr.Reader, list[str]]:
