@@ -201,6 +201,8 @@ class Observation:
 
     def project(self, dimension: int) -> Observation:
         """Return the same observation, rows and all, cut to the first D coordinates."""
+        if self.position.shape[2] == dimension:
+            return self
         return replace(
             self,
             position=self.position[:, :, :dimension],

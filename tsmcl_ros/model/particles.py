@@ -55,11 +55,11 @@ def systematic_resample(weights: Array, count: int, rng: np.random.Generator) ->
     edges = np.cumsum(weights, axis=1, dtype=np.float64)
     edges *= count / edges[:, -1:]
     ticks = np.ceil(edges - rng.random((vehicles, 1))).astype(np.int64)
-    np.clip(ticks, 0, count, out=ticks)
+    np.minimum(np.maximum(ticks, 0, out=ticks), count, out=ticks)
     ticks[:, -1] = count
-    copies = np.diff(ticks, axis=1, prepend=0)
-    particle = np.broadcast_to(np.arange(size), (vehicles, size))
-    return np.repeat(particle.ravel(), copies.ravel()).reshape(vehicles, count)
+    ticks[:, 1:] -= ticks[:, :-1]
+    particle = np.arange(size)[None].repeat(vehicles, axis=0)
+    return particle.ravel().repeat(ticks.ravel()).reshape(vehicles, count)
 
 
 def z_order(points: Array) -> Array:

@@ -406,12 +406,13 @@ class Channel:
         Vehicles that take most of their ranges for outliers are lost, and teach nothing. Nor do
         ranges to other vehicles, whose positions were made with the same calibration.
         """
-        if self.switches.range_calibration == 'off' or self._asymmetric:
+        ranged = observation.heard & ~np.isnan(observation.range)
+        if self.switches.range_calibration == 'off' or self._asymmetric or not ranged.any():
             # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
             return
         std = np.where(observation.kind == ANCHOR, self._range_std(observation), np.inf)
         if self._floor > 0:
-            ranges = (observation.heard & ~np.isnan(observation.range)).sum(axis=1)
+            ranges = ranged.sum(axis=1)
             lost = ~(estimate.log_likelihood > math.log(self._floor) / 2 * ranges)
             std = np.where(lost[:, None], np.inf, std)
         self.calibration.learn(observation, estimate, std)
