@@ -27,6 +27,8 @@ NAMES = (
     'latency',
     'bag',
     'medium',
+    'cores',
+    'network',
 )
 COMMAND = 'make bench'
 
