@@ -41,8 +41,8 @@ SCENARIOS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     'ts_mcl': ({}, {'method': 'ts_mcl', 'max_iterations': 5}),
 }
 # Vehicles, and epochs to time after those in which they are placed and first found.
-FLEETS = {1: 100, 40: 20, 1000: 4, 10_000: 2}
-SETTLING = 4
+FLEETS = {1: 60, 40: 10, 1000: 3, 10_000: 1}
+SETTLING = 3
 # ns a particle and update, of the method alone.
 BOUNDS = {'mcl': 15.0, 'rssi': 25.0, 'ts_mcl': 150.0}
 REASONS = {
@@ -97,7 +97,9 @@ def _update(name: str, vehicles: int, count: int) -> tuple[float, float]:
                        np.random.default_rng(1))
     timed = _timed(METHODS[settings['method']])
     with patch.dict(METHODS, {settings['method']: timed}):
-        localizer = Localizer({**COMMON, 'min_particles': PARTICLES, **settings}, vehicles)
+        localizer = Localizer(
+            {**COMMON, 'min_particles': PARTICLES, 'max_particles': 2 * PARTICLES, **settings},
+            vehicles)
         localizer.anchor_map(world.anchors)
         methods, epochs = [], []
         for _ in range(SETTLING + count):
