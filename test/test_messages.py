@@ -136,6 +136,17 @@ def test_a_pose_survives_a_round_trip():
         np.testing.assert_array_equal(found.covariance[:2, :2], np.eye(2))
 
 
+def test_poses_of_a_fleet_are_those_of_its_vehicles():
+    mean, covariance = np.array([[1.5, -2.5], [3.0, 4.0]]), np.array([np.eye(2), 2 * np.eye(2)])
+    yaw = np.array([0.5, math.nan])
+    found = [deserialize_message(data, PoseWithCovarianceStamped).pose for data in
+             messages.encode_poses(7.5, 'map', mean, covariance, yaw, np.array([0.1, math.nan]))]
+    assert [[pose.pose.position.x, pose.pose.position.y] for pose in found] == mean.tolist()
+    assert [pose.covariance[0] for pose in found] == [1.0, 2.0]
+    assert [pose.covariance[35] for pose in found] == [0.1, messages.UNMEASURED]
+    assert heading(found[0].pose.orientation) == pytest.approx(0.5)
+
+
 def test_a_yaw_that_is_not_known_comes_back_as_that():
     pose = messages.encode_pose(7.5, 'map', np.zeros(2), np.eye(2), math.nan, math.nan)
     found = deserialize_message(pose, PoseWithCovarianceStamped)

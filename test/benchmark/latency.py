@@ -22,7 +22,7 @@ RATE, CALM = 1500.0, 100.0
 PERIOD = 0.1  # s, of simulated time between two of them: stamps go on faster than time does
 ROUNDS, SETTLING = 3, 50
 EPOCHS = {RATE: 1500, CALM: 300}  # in a round
-SETTINGS = {'method': 'mcl', 'min_particles': 100, 'max_particles': 100, 'range_std': 2.0}
+SETTINGS = {'min_particles': 100, 'max_particles': 100, 'range_std': 2.0}
 FLEET, FLEET_RATE, FLEET_EPOCHS = 200, 10.0, 80
 ANCHORS = np.array([[x, y] for x in (0.0, 500.0, 1000.0) for y in (0.0, 800.0)])
 SCRIPTS = Path(__file__).parent
@@ -36,10 +36,10 @@ def measure() -> Section:
     return Section(
         'Message path',
         f'One vehicle with six anchors ranged in each epoch and without odometry; stamps are '
-        f'{PERIOD:g} s apart at any rate. The localizer runs {SETTINGS["method"]} with '
-        f'{SETTINGS["max_particles"]} particles, among the cheapest there are, and otherwise its '
-        'defaults. The echo takes the same messages raw on the same executor and publishes a pose '
-        'of constant bytes with the same quality of service. Processor time is that of all '
+        f'{PERIOD:g} s apart at any rate. The localizer has {SETTINGS["max_particles"]} particles '
+        'and otherwise its defaults, the method among them. The echo takes the same messages raw '
+        'on the same executor and publishes a pose of constant bytes with the same quality of '
+        'service. Processor time is that of all '
         "threads of a process, DDS's among them; the filter's is that of `Localizer._epoch` in "
         'the node, and the message path is the rest. Echo and node run in turn, medians of '
         f'{ROUNDS} rounds. Latency is from beacon sent to pose received; at {RATE:,g} Hz it is '

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ class Process:
         self._process = subprocess.Popen(
             [*pinned, sys.executable, *command], stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT, text=True)
+        atexit.register(self._process.kill)
         assert self._process.stdout is not None
         written = []
         for line in self._process.stdout:

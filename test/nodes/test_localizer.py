@@ -188,6 +188,21 @@ def test_clouds_and_markers_show_what_is_estimated(begin: Callable[..., Scene]) 
     assert disk.scale.x == 2000.0
 
 
+def test_who_comes_after_the_last_epoch_still_sees_its_markers(
+    begin: Callable[..., Scene],
+) -> None:
+    scene = begin()
+    poses = scene.probe.collect('pose', messages.POSE, LATCHED_INPUT)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(source.is_heard, 'the localizer to listen')
+    source.step()
+    scene.until(lambda: bool(poses), 'a pose')
+    shown = scene.probe.collect('markers', 'visualization_msgs/msg/MarkerArray', LATCHED_INPUT)
+    scene.until(lambda: bool(shown), 'markers')
+    markers = deserialize_message(shown[0], MarkerArray).markers
+    assert sum(marker.ns == 'covariance' for marker in markers) == 1
+
+
 def test_initial_poses_are_taken_in_the_map_and_ignored_with_a_warning_elsewhere(
     begin: Callable[..., Scene], capfd: pytest.CaptureFixture[str],
 ) -> None:

@@ -3,8 +3,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import os
+from pathlib import Path
 import signal
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -18,7 +20,15 @@ from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.recorder import Recorder
 from tsmcl_ros.nodes.replay import Replay
-from tsmcl_ros.nodes.runtime import main, message_class, Node, Rejections, RELIABLE, SENSOR_DATA
+from tsmcl_ros.nodes.runtime import (
+    main,
+    message_class,
+    Node,
+    Rejections,
+    RELIABLE,
+    SENSOR_DATA,
+    session,
+)
 from tsmcl_ros.nodes.simulator import Simulator
 from tsmcl_ros.types import ConfigError, MessageError
 
@@ -211,6 +221,30 @@ def test_help_lists_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
     shown = capfd.readouterr().out
     assert 'Dives.' in shown
     assert 'depth: how deep [m]; a number at least 1 m (default: 3.0)' in shown
+
+
+@pytest.mark.parametrize('name', [
+    'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'])
+def test_what_a_user_tells_fast_dds_stands(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str,
+) -> None:
+    for each in ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(name, str(tmp_path / 'profiles.xml'))
+    with session():
+        assert [value for key, value in os.environ.items() if 'DEFAULT_PROFILES' in key] == [
+            str(tmp_path / 'profiles.xml')]
+
+
+def test_fast_dds_takes_no_memory_for_messages_that_have_not_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE', raising=False)
+    monkeypatch.delenv('FASTDDS_DEFAULT_PROFILES_FILE', raising=False)
+    with session():
+        told = ElementTree.parse(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'])
+    assert [found.text for found in told.iter() if found.tag.endswith('allocated_samples')] == [
+        '0', '0']
 
 
 def test_message_classes_are_found_by_the_name_of_their_type() -> None:

@@ -19,6 +19,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 import math
+import os
+from pathlib import Path
 import re
 import signal
 import sys
@@ -69,6 +71,9 @@ _PATIENCE = 0.1  # s, longest wait before a signal is looked for
 _BURST = 100  # messages
 _PAUSE = 0.01  # s
 _ROUNDING = 1e-6  # s, more than a stamp of today loses as a float
+
+# Where Fast DDS looks for its defaults, in Jazzy and later: users' own go before ours.
+_PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 
 # Signals come to a process, and not to one of its objects.
 _asked_to_stop = threading.Event()
@@ -459,6 +464,8 @@ def session(arguments: Sequence[str] = ()) -> Iterator[None]:
 
 
 def _init(arguments: Sequence[str]) -> None:
+    if not any(name in os.environ for name in _PROFILES):
+        os.environ[_PROFILES[0]] = str(Path(__file__).with_name('fastdds.xml'))
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rclpy's own types are private
