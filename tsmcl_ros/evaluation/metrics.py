@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 from tsmcl_ros.messages import UNMEASURED
 from tsmcl_ros.types import Array, Trajectory
 
@@ -217,6 +217,11 @@ def mean_of(runs: Sequence[Metrics]) -> Metrics:
     return Metrics(**{**means, 'epochs': round(means['epochs'])})
 
 
+def chi_squared_quantile(probability: float, freedom: float) -> float:
+    """Return what a chi-squared variable stays below so probably; scipy.stats loads long."""
+    return float(2 * gammaincinv(freedom / 2, probability))
+
+
 def normalized_error_squared(difference: Array, covariance: Array | None) -> Array:
     """
     Return the NEES, e^T P^-1 e (E,), infinite where P is not positive definite.
@@ -249,8 +254,9 @@ def nees_band(dimension: int, samples: int, confidence: float = 0.95) -> tuple[f
     (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Successive epochs of one vehicle are
     correlated, so `samples` is the number of vehicles or runs averaged, not that of epochs.
     """
-    low, high = chi2.interval(confidence, samples * dimension)
-    return float(low) / samples, float(high) / samples
+    low, high = (chi_squared_quantile((1 + side * confidence) / 2, samples * dimension)
+                 for side in (-1, 1))
+    return low / samples, high / samples
 
 
 def metrics_document(overall: Metrics, vehicles: Mapping[str, Metrics]) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 from tsmcl_ros.evaluation.experiments.common import as_rows, by_case, rmse, side_by_side
 from tsmcl_ros.evaluation.experiments.network import cooperate, Network
+from tsmcl_ros.evaluation.metrics import chi_squared_quantile
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
@@ -212,7 +212,7 @@ class Try:
                 percent(localized.mean()),
                 str(bootstrap_interval(rmse, error[known])), significant(float(median)),
                 significant(float(most)), significant(float(nees[known].mean())),
-                percent(float(np.mean(nees[known] < chi2.ppf(0.95, 2)))),
+                percent(float(np.mean(nees[known] < chi_squared_quantile(0.95, 2)))),
                 significant(float(self.seconds.mean()))])
         return rows
 

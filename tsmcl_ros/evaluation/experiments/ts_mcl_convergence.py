@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 from tsmcl_ros.evaluation.experiments.anchor_field import (
     Curve,
     curves_of,
@@ -23,6 +22,7 @@ from tsmcl_ros.evaluation.experiments.anchor_field import (
     SHOWN,
 )
 from tsmcl_ros.evaluation.experiments.common import as_rows, follow, goal, Parked, rmse
+from tsmcl_ros.evaluation.metrics import chi_squared_quantile
 from tsmcl_ros.evaluation.monte_carlo import (
     bootstrap_interval,
     Case,
@@ -170,7 +170,7 @@ class TsMclConvergence:
             str(late.shape[1]), str(bootstrap_interval(np.median, late)),
             str(bootstrap_interval(np.median, late[-1:])), str(bootstrap_interval(rmse, late)),
             significant(float(curve.late_nees.mean())),
-            percent(float(np.mean(curve.late_nees < chi2.ppf(0.95, 2)))),
+            percent(float(np.mean(curve.late_nees < chi_squared_quantile(0.95, 2)))),
             significant(curve.update_ms)]
 
     def _goals(self, curves: Sequence[Curve]) -> list[Finding]:
