@@ -191,7 +191,7 @@ def nees(seed: int, echo_guard: float, radio_range: float, **world: float) -> fl
 
 
 @pytest.mark.parametrize(('seed', 'world'), [
-    (2, {'radio_range': 35.0}),
+    (4, {'radio_range': 35.0}),
     (1, {'radio_range': 45.0, 'min_speed': 1e-3, 'max_speed': 1e-3}),
     (3, {'radio_range': 35.0})], ids=['moving', 'parked', 'much from others'])
 def test_a_fleet_is_honest_with_the_guard_and_overconfident_without(

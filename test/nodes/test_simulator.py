@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 import signal
 from typing import Any
@@ -41,24 +41,34 @@ def simulate(probe: Any, start: Start, epochs: int, rate: float) -> dict[str, li
     """Return what anchors and a simulator with the small world's settings give over DDS."""
     received = collect(probe, SMALL['vehicles'])
     listeners = probe.count_subscribers('/veh_0/odom')
-    probe.expect(lambda: not any(map(probe.count_publishers, received)),
-                 'any earlier simulation to be forgotten')
     # A busy machine is no dead anchor.
-    simulator = start('nodes.simulator', *overrides(
+    anchors = play(probe, start, received, overrides(
         seed=5, beacon_timeout=20.0, wait_for=listeners, rate=rate,
         duration=epochs * SMALL['beacon_period'],
-        **{name: value for name, value in SMALL.items() if name not in ANCHORS[:2]}))
-    # It waits for anchors, so that we have found its topics too before it says anything there:
-    # what it knows of us tells it nothing of that.
-    probe.expect(lambda: all(map(probe.count_publishers, received)), "the simulator's topics")
-    anchors = start('nodes.anchor', *overrides(
-        use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
-    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
-    assert simulator.wait() == 0
+        **{name: value for name, value in SMALL.items() if name not in ANCHORS[:2]},
+    ), overrides(use_sim_time=True, seed=5, **{name: SMALL[name] for name in ANCHORS}))
     probe.expect(lambda: all(len(found) == epochs for found in received.values()),
                  f'{epochs} messages on each topic')
     assert anchors.stop() == 0
     return received
+
+
+def play(probe: Any, start: Start, topics: Iterable[str], simulation: list[str],
+         anchors: list[str]) -> Any:
+    """
+    Run a simulation with some arguments to its end, and return the anchors' process.
+
+    It waits for anchors, so that we have found its topics too before it says anything there: what
+    it knows of us tells it nothing of that.
+    """
+    probe.expect(lambda: not any(map(probe.count_publishers, topics)),
+                 'any earlier simulation to be forgotten')
+    simulator = start('nodes.simulator', *simulation)
+    probe.expect(lambda: all(map(probe.count_publishers, topics)), "the simulator's topics")
+    process = start('nodes.anchor', *anchors)
+    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
+    assert simulator.wait() == 0
+    return process
 
 
 def test_vehicles_move_and_hear_as_in_process_for_the_same_seed(
@@ -158,11 +168,9 @@ def test_cars_of_a_sumo_trace_drive_as_recorded(
 
     path = shared_data / 'sumo_grid40' / 'fcd40.xml.gz'
     received = collect(probe, 40)
-    start('nodes.anchor', *overrides(use_sim_time=True))
-    simulator = start('nodes.simulator', *overrides(
-        mobility='fcd', trace=path, vehicles=40, duration=3, rate=100, wait_for=1))
-    probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
-    assert simulator.wait() == 0
+    play(probe, start, received, overrides(
+        mobility='fcd', trace=path, vehicles=40, duration=3, rate=100, wait_for=1),
+        overrides(use_sim_time=True))
     trace = read_fcd(path, 40, 40.0)
     for i in range(40):
         topic = f'/veh_{i}/ground_truth'

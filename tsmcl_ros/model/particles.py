@@ -6,6 +6,8 @@ Shapes: particles (V, N, D), log_weights (V, N). Functions return new arrays.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from tsmcl_ros.types import Array
 
@@ -42,7 +44,7 @@ def spread(points: Array) -> Array:
     axes = coordinates(points)
     axes -= axes.mean(axis=2, keepdims=True)
     squared = np.einsum('dvn,dvn->v', axes, axes)
-    return np.asarray(np.sqrt(squared / squared.dtype.type(points[0].size)))
+    return np.asarray(np.sqrt(squared / squared.dtype.type(math.prod(points.shape[1:]))))
 
 
 def systematic_resample(weights: Array, count: int, rng: np.random.Generator) -> Array:
@@ -123,5 +125,7 @@ def moments(particles: Array, weights: Array, error: Array | None = None) -> tup
     deviation -= rest[:, :, None]
     if error is not None:
         weights = weights + (error / weights.shape[1]).astype(weights.dtype)[:, None]
-    covariance = np.einsum('ivn,jvn->vij', weights * deviation, deviation)
+    # Half of the weights on either side: what rounding leaves is symmetric, and not negative.
+    deviation *= np.sqrt(weights)
+    covariance = np.einsum('ivn,jvn->vij', deviation, deviation)
     return (rough.astype(np.float64) + rest).T, covariance.astype(np.float64)
