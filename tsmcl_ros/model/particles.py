@@ -123,9 +123,9 @@ def moments(particles: Array, weights: Array, error: Array | None = None) -> tup
     deviation = axes - rough[:, :, None]
     rest = np.einsum('vn,dvn->dv', weights, deviation)
     deviation -= rest[:, :, None]
+    weights = weights.astype(np.float64)
     if error is not None:
-        weights = weights + (error / weights.shape[1]).astype(weights.dtype)[:, None]
-    # Half of the weights on either side: what rounding leaves is symmetric, and not negative.
-    deviation *= np.sqrt(weights)
-    covariance = np.einsum('ivn,jvn->vij', deviation, deviation)
-    return (rough.astype(np.float64) + rest).T, covariance.astype(np.float64)
+        weights += (error / weights.shape[1])[:, None]
+    # Half of the weights on either side, so that a flat cloud's is not negative by rounding.
+    halves = deviation * np.sqrt(weights)
+    return (rough.astype(np.float64) + rest).T, np.einsum('ivn,jvn->vij', halves, halves)
