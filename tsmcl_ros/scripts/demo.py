@@ -134,6 +134,7 @@ def _show(bar: Any, watch: Watch, processes: Processes, vehicles: int) -> None:
         processes.check()
         bar.set_description(f'{watch.localized}/{vehicles} vehicles localized', False)
         bar.update(watch.time - bar.n)
+    watch.drain(quiet=0.2, timeout=2.0)  # the last time it showed may not have been handled yet
     watch.spin(lambda: watch.estimated >= watch.time, _STOP_PATIENCE)
 
 
