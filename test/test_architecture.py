@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+import subprocess
 import sys
 from xml.etree import ElementTree
 
@@ -121,6 +122,13 @@ METHODS = [name for name in MODULES if name.startswith('methods.') and '__init__
 @pytest.mark.parametrize('module', METHODS)
 def test_that_methods_do_not_import_each_other(module: str) -> None:
     assert 'methods' not in {name[0] for name in own_imports(MODULES[module])}
+
+
+def test_that_a_fleet_starts_without_loading_what_its_method_may_never_ask_for() -> None:
+    program = ('import sys, tsmcl_ros.nodes.fleet\n'
+               'print(*sorted(name for name in sys.modules if name.startswith("scipy.special")))')
+    ran = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True)
+    assert ran.stdout.split() == []
 
 
 def test_that_rosdep_or_who_reads_its_manifest_is_told_of_every_library() -> None:

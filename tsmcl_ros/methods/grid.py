@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+import scipy
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.motion import MotionModel, OdometryMotion, RandomMotion
 from tsmcl_ros.model.particles import moments, normalize
@@ -92,9 +92,8 @@ class Grid:
     def predict(self, motion: Motion) -> None:
         """Convolve each belief with its motion kernel."""
         if self.belief.size:
-            # Here, as its import takes longer than all others together, which a node starts by.
-            from scipy.signal import oaconvolve
-            moved = oaconvolve(self.belief, self._kernels(motion), mode='same', axes=(1, 2))
+            moved = scipy.signal.oaconvolve(
+                self.belief, self._kernels(motion), mode='same', axes=(1, 2))
             self.belief = _normalized(np.maximum(moved, 0))
 
     def update(self, observation: Observation) -> Estimate:
@@ -222,7 +221,7 @@ def hat_kernel(offset: Array, std: Array) -> Array:
 
     def ramp(x: Array) -> Array:
         density = np.exp(-0.5 * (x / std) ** 2) / np.sqrt(2 * np.pi)
-        return np.asarray(x * ndtr(x / std) + std * density)
+        return np.asarray(x * scipy.special.ndtr(x / std) + std * density)
 
     return np.asarray(ramp(offset + 1) - 2 * ramp(offset) + ramp(offset - 1))
 

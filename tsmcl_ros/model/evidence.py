@@ -15,7 +15,7 @@ import math
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy.special import log_ndtr
+import scipy
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.types import Array
 
@@ -205,7 +205,7 @@ class ShadowedBoundary:
         excess = self.side * self.slope * np.log10(self.radius / distance)
         if variance is not None:
             excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
-        return np.asarray(log_ndtr(excess).sum(axis=1))
+        return np.asarray(scipy.special.log_ndtr(excess).sum(axis=1))
 
     def at(self, vehicle: Array | slice) -> ShadowedBoundary:
         """Return the factor for other points: see `Factor`."""

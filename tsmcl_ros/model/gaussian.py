@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
+import scipy
 from tsmcl_ros.model.motion import VelocityMotion
 from tsmcl_ros.types import Array
 
@@ -191,7 +191,7 @@ def update_by_bound(mean: Array, covariance: Array, gradient: Array, excess: Arr
     cross = np.einsum('vij,vj->vi', covariance, gradient)
     std = np.sqrt(innovation_variance(covariance, gradient, variance))
     z = np.clip(excess / std, -1e6, 1e6)
-    log_likelihood = log_ndtr(z)
+    log_likelihood = scipy.special.log_ndtr(z)
     ratio = np.exp(-z * z / 2 - log_likelihood) / np.sqrt(2 * np.pi)
     far = z < -1e3  # where the difference of squares cancels
     ratio = np.where(far, -z, ratio)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+import scipy
 from tsmcl_ros.types import Array
 
 _LEAST = 1e-6  # m, so that a motion without noise has a width
@@ -105,7 +105,8 @@ class GaussianKernel:
         std = np.maximum(self.std, _LEAST)[:, None, None]
         lower, upper, _ = _towards_tail((low[:, None] - self.centre) / std,
                                         (high[:, None] - self.centre) / std)
-        return np.asarray(np.maximum(ndtr(upper) - ndtr(lower), 0).prod(axis=2))
+        share = scipy.special.ndtr(upper) - scipy.special.ndtr(lower)
+        return np.asarray(np.maximum(share, 0).prod(axis=2))
 
     def draw(self, owner: Array, index: Array, low: Array, high: Array, share: Array,
              rng: np.random.Generator) -> tuple[Array, Array]:
@@ -113,10 +114,10 @@ class GaussianKernel:
         centre, std = self.centre[owner, index], np.maximum(self.std, _LEAST)[owner, None]
         lower, upper, side = _towards_tail((low[owner] - centre) / std,
                                            (high[owner] - centre) / std)
-        begin, end = ndtr(lower), ndtr(upper)
+        begin, end = scipy.special.ndtr(lower), scipy.special.ndtr(upper)
         # A draw of exactly 0 or 1 would be infinitely far away.
         quantile = np.clip(begin + (end - begin) * share, 1e-300, 1 - 1e-16)
-        off = side * std * ndtri(quantile)
+        off = side * std * scipy.special.ndtri(quantile)
         extra = self.remembered[owner, index]
         if self.coupling or self.remembered_std:
             extra = (extra + self.coupling * off
