@@ -191,8 +191,11 @@ class Observation:
 
     def rows(self) -> Rows:
         """Return its rows without padding."""
-        vehicle, row = np.nonzero(self.heard)
-        return vehicle, {name: getattr(self, name)[vehicle, row] for name in _ROW_FIELDS}
+        place = np.flatnonzero(self.heard)
+        columns = ((name, getattr(self, name)) for name in _ROW_FIELDS)
+        return place // self.sender.shape[1], {
+            name: values.reshape(-1, *values.shape[2:]).take(place, axis=0)
+            for name, values in columns}
 
     @property
     def heard(self) -> Array:

@@ -229,7 +229,7 @@ class World:
         now = Poses.unknown(vehicles, dimension) if poses is None else self._up_to_date(
             poses, heard.stamp)
         beacons = vehicle_beacons(self._relaying, now)
-        pairs = _apart(*_within(self._channel.reach, position, position))
+        pairs = _apart(self._channel.reach, position)
         listener, neighbour, rows = _hear(
             self._channel, pairs, beacons, self._peer_rng, self._config.drop_rate)
         # Who is lost is a neighbour too, but says nothing of where it is.
@@ -388,7 +388,7 @@ def hear_each_other(channel: Channel, anchors: Observation, rng: np.random.Gener
 
     """
     position, identity = anchors.position[0], anchors.sender[0]
-    receiver, sender, distance = _apart(*_within(channel.reach, position, position))
+    receiver, sender, distance = _apart(channel.reach, position)
     measured = channel.hear(distance[None], rng, identity[None, sender])
     mask = measured.mask[0]
     there, back = receiver * len(identity) + sender, sender * len(identity) + receiver
@@ -512,19 +512,34 @@ def _within(reach: float, vehicles: Array, senders: Array) -> tuple[Array, Array
 
     Returns indices of vehicles and of senders, and distances [m], sorted in that order.
     """
-    # Trees that serve one search: to balance them costs more than it saves.
-    trees = [KDTree(points, balanced_tree=False, compact_nodes=False)
-             for points in (vehicles, senders)]
-    # A little more than the reach: whether the very edge belongs to it is the channel's to say.
-    pairs = trees[0].sparse_distance_matrix(trees[1], reach * (1 + 1e-9), output_type='ndarray')
-    order = np.argsort(pairs['i'] * len(senders) + pairs['j'])
-    return pairs['i'][order], pairs['j'][order], pairs['v'][order]
+    pairs = _tree(vehicles).sparse_distance_matrix(
+        _tree(senders), _beyond(reach), output_type='ndarray')
+    return _measured(pairs['i'] * len(senders) + pairs['j'], vehicles, senders)
 
 
-def _apart(receiver: Array, sender: Array, distance: Array) -> tuple[Array, Array, Array]:
-    """Leave out the pairs that are one and the same."""
-    apart = receiver != sender
-    return receiver[apart], sender[apart], distance[apart]
+def _apart(reach: float, vehicles: Array) -> tuple[Array, Array, Array]:
+    """Find, as `_within` does, the pairs of two vehicles (V, D), either of them first."""
+    one, other = _tree(vehicles).query_pairs(_beyond(reach), output_type='ndarray').T
+    count = len(vehicles)
+    return _measured(
+        np.concatenate([one * count + other, other * count + one]), vehicles, vehicles)
+
+
+def _tree(points: Array) -> KDTree:
+    """Return a tree that serves one search: to balance it would cost more than it saves."""
+    return KDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def _beyond(reach: float) -> float:
+    """Return a little more than the reach: its very edge is the channel's to judge."""
+    return reach * (1 + 1e-9)
+
+
+def _measured(pairs: Array, vehicles: Array, senders: Array) -> tuple[Array, Array, Array]:
+    """Sort pairs, numbered row by row, into indices and distances: see `_within`."""
+    vehicle, sender = np.divmod(np.sort(pairs), len(senders))
+    return vehicle, sender, np.linalg.norm(
+        vehicles.take(vehicle, axis=0) - senders.take(sender, axis=0), axis=1)
 
 
 def _listed(text: str, dimension: int) -> list[float]:

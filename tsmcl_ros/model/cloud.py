@@ -26,6 +26,8 @@ from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, P
 # where it says that too few of them are.
 _KERNELS = 128
 _MOST_FAVOURED = 20.0
+# Candidates drawn at once when vehicles are placed, lest a fleet's first epoch take much memory.
+_CANDIDATES = 1 << 17
 
 # Improves points (M, D) [m] and their log-likelihoods (M,), given the vehicles (M,), a length
 # scale (M,) [m] and the evidence.
@@ -278,9 +280,12 @@ class Cloud:
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
-        vehicle = np.flatnonzero(which)
-        if not len(vehicle):
-            return
+        vehicle, at_once = np.flatnonzero(which), max(_CANDIDATES // self.config.max_particles, 1)
+        for first in range(0, len(vehicle), at_once):
+            self._draw_some(vehicle[first:first + at_once], evidence, repair)
+
+    def _draw_some(self, vehicle: Array, evidence: Evidence, repair: Repair | None) -> None:
+        """Draw particles of some vehicles (W,) int."""
         many, few = self.config.max_particles, self.config.min_particles
         shape = (len(vehicle), many, self.dimension)
         low, high = evidence.box[vehicle, :1], evidence.box[vehicle, 1:]
