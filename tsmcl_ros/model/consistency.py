@@ -58,8 +58,9 @@ def deviations(channel: Channel, observation: Observation, mean: Array, covarian
     distance, std, ranged = channel.distances(observation)
     powered = channel.powered(observation)
     measured = ranged | powered
-    bound = bounds(channel, observation, measured)
-    columns = [(bound.sender, bound.used, bound.silent, _of_bounds(belief, bound))]
+    bound, columns = bounds(channel, observation, measured), []
+    if bound.used.any() or not measured.any():
+        columns.append((bound.sender, bound.used, bound.silent, _of_bounds(belief, bound)))
     if measured.any():
         loud = np.zeros(measured.shape[1], bool)
         columns.append((observation.sender, measured, loud, np.maximum(
