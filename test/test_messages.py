@@ -17,7 +17,7 @@ from std_msgs.msg import UInt32
 from tsmcl_ros import cdr, messages
 from tsmcl_ros.types import MessageError, Observation, Odometry
 
-pytestmark = pytest.mark.filterwarnings('error')
+pytestmark = pytest.mark.filterwarnings('error', 'ignore::DeprecationWarning:lark')
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 FOXY = get_typestore(Stores.ROS2_FOXY)

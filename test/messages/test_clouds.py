@@ -14,7 +14,7 @@ from tsmcl_ros import cdr, messages
 from tsmcl_ros.messages import beacons
 from tsmcl_ros.types import Links, MessageError, Observation
 
-pytestmark = pytest.mark.filterwarnings('error')
+pytestmark = pytest.mark.filterwarnings('error', 'ignore::DeprecationWarning:lark')
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 FOXY = get_typestore(Stores.ROS2_FOXY)

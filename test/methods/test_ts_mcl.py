@@ -67,7 +67,7 @@ def constant(value: float) -> Script:
 
 def pairs(asked: np.ndarray) -> np.ndarray:
     """Return the two neighbours of each particle (M, 2, 2) of one iteration."""
-    return asked.reshape(-1, 2, 2)
+    return asked.reshape(2, -1, 2).swapaxes(0, 1)
 
 
 # The score

@@ -124,7 +124,7 @@ class TsMcl(ParticleFilter):
         if config.neighbourhood_scale > 0:
             scale = np.full_like(scale, config.neighbourhood_scale)
         scale = np.maximum(scale, config.neighbourhood_floor)
-        found, reached = points.copy(), log_likelihood.copy()
+        found, reached = points.T.copy(), log_likelihood.copy()
         start = score(log_likelihood, evidence.terms[owner])
         search = _Search(points, start, scale, log_likelihood, config.tabu_length)
         search.keep(start <= config.aspiration)
@@ -132,61 +132,75 @@ class TsMcl(ParticleFilter):
             if not len(search.index):
                 break
             neighbours = search.neighbours(rng, config.tabu_radius, iteration)
-            both = np.repeat(owner[search.index], 2)
+            own = owner[search.index]
             likelihoods = evidence.log_likelihood_of(
-                neighbours.reshape(len(both), -1), both).reshape(-1, 2)
-            better, likelihood = search.move(neighbours, likelihoods, iteration)
-            omega = score(likelihood, evidence.terms[owner[search.index]])
+                neighbours.reshape(len(neighbours), -1).T, np.concatenate([own, own]))
+            better, likelihood = search.move(neighbours, likelihoods.reshape(2, -1), iteration)
+            omega = score(likelihood, evidence.terms[own])
             bar = search.score + (1 - search.score) * rng.random(len(omega), np.float32)
             accepted = (omega > config.aspiration) | (omega > bar)
-            found[search.index[accepted]] = better[accepted]
+            found[:, search.index[accepted]] = better[:, accepted]
             reached[search.index[accepted]] = likelihood[accepted]
             search.keep(~accepted)
-        found[search.index], reached[search.index] = search.best, search.best_likelihood
-        return found, reached
+        found[:, search.index], reached[search.index] = search.best, search.best_likelihood
+        return found.T, reached
 
 
 class _Search:
-    """The tabu searches still under way, one a row: arrays over particles, no loop over them."""
+    """
+    The tabu searches still under way: arrays over particles, no loop over them.
+
+    Searches run along the last axis of every array, so that what is reckoned of a coordinate lies
+    together in memory.
+    """
 
     def __init__(self, points: Array, start_score: Array, scale: Array, log_likelihood: Array,
                  tabu_length: int):
         count, dimension = points.shape
         self.index = np.arange(count)
-        self.start, self.score, self.scale = points, start_score, scale
-        self.best, self.best_likelihood = points, log_likelihood
-        self.tabu = np.full((count, tabu_length, dimension), np.inf, np.float32)
+        self.start, self.score, self.scale = points.T.copy(), start_score, scale
+        self.best, self.best_likelihood = self.start.copy(), log_likelihood.copy()
+        self.tabu = np.full((tabu_length, dimension, count), np.inf, np.float32)
 
     def keep(self, rows: Array) -> None:
-        """Go on with the searches of these rows (M,) bool only."""
+        """Go on with these searches (M,) bool only."""
+        if rows.all():
+            return
+        kept = np.flatnonzero(rows)
         for name, values in vars(self).items():
-            setattr(self, name, values[rows])
+            setattr(self, name, values.take(kept, axis=-1))
 
     def neighbours(self, rng: np.random.Generator, tabu_radius: float, iteration: int) -> Array:
-        """Return two positions (M, 2, D) [m] near each start, redrawn once where tabu."""
-        shape = (len(self.index), 2, self.start.shape[1])
-        step = ((1 - self.score) * self.scale)[:, None, None]
-        drawn = self.start[:, None] + step * rng.standard_normal(shape, np.float32)
-        tabu = np.zeros(shape[:2], bool)
-        near = np.square(tabu_radius * self.scale)[:, None]
-        # One entry and one axis after the other: sums of two or three numbers are slow.
-        for entry in range(min(iteration, self.tabu.shape[1])):
-            apart = np.square(drawn - self.tabu[:, None, entry])
-            tabu |= sum(apart[:, :, axis] for axis in range(1, shape[2])) + apart[:, :, 0] < near
-        if tabu.any():
-            again = self.start[:, None] + step * rng.standard_normal(shape, np.float32)
-            drawn = np.where(tabu[:, :, None], again, drawn)
+        """Return two positions (D, 2, M) [m] near each start, redrawn once where tabu."""
+        step = (1 - self.score) * self.scale
+        noise = rng.standard_normal((len(self.start), 2, len(step)), np.float32)
+        drawn = self.start[:, None] + step * noise
+        near = np.square(tabu_radius * self.scale)
+        tabu = np.zeros(drawn.shape[1:], bool)
+        for entry in self.tabu[:iteration]:
+            apart = drawn - entry[:, None]
+            apart *= apart
+            tabu |= apart.sum(axis=0) < near
+        which, again = np.nonzero(tabu)
+        if len(again):
+            noise = rng.standard_normal((len(drawn), len(again)), np.float32)
+            drawn[:, which, again] = self.start[:, again] + step[again] * noise
         return drawn
 
     def move(self, neighbours: Array, likelihoods: Array, iteration: int
              ) -> tuple[Array, Array]:
-        """Make the better neighbour tabu, and the best so far if it is; return it, its score."""
-        rows, pick = np.arange(len(self.index)), likelihoods.argmax(axis=1)
-        better, likelihood = neighbours[rows, pick], likelihoods[rows, pick]
-        self.tabu[:, iteration % self.tabu.shape[1]] = better
+        """
+        Make the better neighbours tabu, and the best so far where they are.
+
+        Neighbours are (D, 2, M) [m], their log-likelihoods (2, M); the better one's are returned.
+        """
+        first, second = likelihoods
+        better = np.where(second > first, neighbours[:, 1], neighbours[:, 0])
+        likelihood = np.maximum(first, second)
+        self.tabu[iteration % len(self.tabu)] = better
         improved = likelihood > self.best_likelihood
-        self.best[improved] = better[improved]
-        self.best_likelihood[improved] = likelihood[improved]
+        np.copyto(self.best, better, where=improved)
+        np.copyto(self.best_likelihood, likelihood, where=improved)
         return better, likelihood
 
 

@@ -175,9 +175,10 @@ def refuse_certainty(observation: Observation) -> None:
         Naming the first one that does.
 
     """
-    rows = observation.heard & (observation.kind == VEHICLE)
+    rows = observation.kind == VEHICLE
     if not rows.any():
         return
+    rows &= observation.heard
     values = np.linalg.eigvalsh(observation.covariance[rows].astype(np.float64))
     singular = np.flatnonzero(values[:, 0] <= _SINGULAR * values[:, -1])
     if len(singular):

@@ -17,10 +17,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 import scipy
 from tsmcl_ros.model.geometry import Reach
+from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.types import Array
 
-# Points reckoned at once, so that what is made of them on the way stays in the cache.
-_CHUNK = 8192
 # Numbers of at most 2 whose product a float32 holds.
 _FACTORS = 100
 # A radius that everything is inside of [m].
@@ -293,7 +292,7 @@ class Evidence:
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P) float32 at points (V, P, D) or shared ones (1, P, D) [m]."""
         total = np.zeros((len(self.heard), points.shape[1]), np.float32)
-        for rows in _chunks(len(total), points.shape[1]):
+        for rows in chunks(len(total), points.shape[1]):
             some = points if len(points) == 1 else points[rows]
             for factor in self.factors:
                 total[rows] += factor.at(rows).log_likelihood(some)
@@ -315,17 +314,11 @@ class Evidence:
         """Return (M,) float32 of a flat list of points (M, D) [m] of the vehicles (M,)."""
         total = np.zeros(len(points), np.float32)
         single = len(self.heard) == 1
-        for rows in _chunks(len(points)):
+        for rows in chunks(len(points)):
             for factor in self.factors:
                 listed = factor if single else factor.at(vehicle[rows])
                 total[rows] += listed.log_likelihood(points[None, rows])[0]
         return total
-
-
-def _chunks(count: int, size: int = 1) -> list[slice]:
-    """Return slices of so many rows that what is made of them stays in the cache."""
-    step = max(_CHUNK // max(size, 1), 1)
-    return [slice(first, first + step) for first in range(0, count, step)]
 
 
 def column(values: Array) -> Array:

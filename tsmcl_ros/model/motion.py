@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.kernel import BallKernel, GaussianKernel, Kernel
+from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.model.sampling import even_shares
 from tsmcl_ros.types import Array, Motion
 
@@ -270,17 +271,19 @@ def even_ball(shape: tuple[int, int, int], radius: float, rng: np.random.Generat
     particle's next displacement follow from its last.
     """
     vehicles, count, dimension = shape
-    even = even_shares(rng.permutation(count), vehicles, dimension, rng)
-    distance = np.float32(radius) * (
-        np.sqrt(even[:, :, 0]) if dimension == 2 else np.cbrt(even[:, :, 0]))
-    azimuth = np.float32(2 * math.pi) * even[:, :, 1]
-    points = np.empty(shape, np.float32)
-    if dimension == 3:
-        height = 2 * even[:, :, 2] - 1
-        np.multiply(distance, height, out=points[:, :, 2])
-        distance *= np.sqrt(1 - np.square(height))
-    np.multiply(distance, np.cos(azimuth), out=points[:, :, 0])
-    np.multiply(distance, np.sin(azimuth), out=points[:, :, 1])
+    number, points = rng.permutation(count), np.empty(shape, np.float32)
+    for rows in chunks(vehicles, count):
+        some = points[rows]
+        even = even_shares(number, len(some), dimension, rng)
+        distance = np.float32(radius) * (
+            np.sqrt(even[:, :, 0]) if dimension == 2 else np.cbrt(even[:, :, 0]))
+        azimuth = np.float32(2 * math.pi) * even[:, :, 1]
+        if dimension == 3:
+            height = 2 * even[:, :, 2] - 1
+            np.multiply(distance, height, out=some[:, :, 2])
+            distance *= np.sqrt(1 - np.square(height))
+        np.multiply(distance, np.cos(azimuth), out=some[:, :, 0])
+        np.multiply(distance, np.sin(azimuth), out=some[:, :, 1])
     return points
 
 

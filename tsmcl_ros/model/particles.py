@@ -11,6 +11,15 @@ import math
 import numpy as np
 from tsmcl_ros.types import Array
 
+# Points reckoned at once, so that what is made of them on the way stays in the cache.
+_CHUNK = 8192
+
+
+def chunks(count: int, size: int = 1) -> list[slice]:
+    """Return slices of so many rows of a size that what is made of them stays in the cache."""
+    step = max(_CHUNK // max(size, 1), 1)
+    return [slice(first, first + step) for first in range(0, count, step)]
+
 
 def normalize(log_weights: Array) -> tuple[Array, Array]:
     """
@@ -117,15 +126,20 @@ def moments(particles: Array, weights: Array, error: Array | None = None) -> tup
     that sum to 1, divides by N twice; this is sum w x. With an `error` (V,), so much of the
     unweighted cloud's mean square about the mean is added to the covariance.
     """
-    axes = coordinates(particles)
-    # Twice, as float32 resolves what is left about a mean far better than the mean.
-    rough = np.einsum('vn,dvn->dv', weights, axes)
-    deviation = axes - rough[:, :, None]
-    rest = np.einsum('vn,dvn->dv', weights, deviation)
-    deviation -= rest[:, :, None]
-    weights = weights.astype(np.float64)
-    if error is not None:
-        weights += (error / weights.shape[1])[:, None]
-    # Half of the weights on either side, so that a flat cloud's is not negative by rounding.
-    halves = deviation * np.sqrt(weights)
-    return (rough.astype(np.float64) + rest).T, np.einsum('ivn,jvn->vij', halves, halves)
+    vehicles, count, dimension = particles.shape
+    mean, covariance = np.zeros((vehicles, dimension)), np.zeros((vehicles, dimension, dimension))
+    for rows in chunks(vehicles, count):
+        axes, share = coordinates(particles[rows]), weights[rows]
+        # Twice, as float32 resolves what is left about a mean far better than the mean.
+        rough = np.einsum('vn,dvn->dv', share, axes)
+        deviation = axes - rough[:, :, None]
+        rest = np.einsum('vn,dvn->dv', share, deviation)
+        deviation -= rest[:, :, None]
+        share = share.astype(np.float64)
+        if error is not None:
+            share += (error[rows] / count)[:, None]
+        # Half of the weights on either side, so that a flat cloud's is not negative by rounding.
+        halves = deviation * np.sqrt(share)
+        mean[rows] = (rough.astype(np.float64) + rest).T
+        np.einsum('ivn,jvn->vij', halves, halves, out=covariance[rows])
+    return mean, covariance

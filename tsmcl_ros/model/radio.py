@@ -485,7 +485,7 @@ class Channel:
             # Not cut at 0: a normal error reaches below.
             indicated = (ranges - self.calibration.bias) / self.calibration.scale
             std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
-            errors = GaussianErrors(column(np.where(ranged, std, np.inf)))
+            errors = GaussianErrors.of(column(np.where(ranged, std, np.inf)))
         return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
     def _boundary(self, observation: Observation, bounded: Array, radius: Array, heard: Array

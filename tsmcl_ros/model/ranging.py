@@ -57,25 +57,38 @@ class GaussianErrors:
     ----------
     std : (V, E, 1) float32
         [m], inf where padded.
+    peak : (V, E, 1) float32
+        The most that ln p can be.
 
     """
 
     std: Array
+    peak: Array
+
+    @classmethod
+    def of(cls, std: Array) -> GaussianErrors:
+        """Return normal errors of these standard deviations (V, E, 1) [m], inf where padded."""
+        known = np.where(np.isfinite(std), std, 1)
+        return cls(std, np.asarray(-np.log(math.sqrt(2 * math.pi) * known), np.float32))
 
     def log_density(self, error: Array, variance: Array | None) -> Array:
         """Return ln p(e): see `RangeErrors`."""
-        precision = self._precision
         if variance is None:
-            return np.asarray(np.float32(-0.5) * precision * error * error + self.bound(None))
+            score = error / self.std
+            score *= score
+            score *= np.float32(-0.5)
+            score += self.peak
+            return score
+        precision = 1 / (self.std * self.std)
         widened = 1 + precision * variance
         squared = precision * error * error / widened
-        return np.asarray(np.float32(-0.5) * (squared + np.log(widened)) + self.bound(None))
+        return np.asarray(np.float32(-0.5) * (squared + np.log(widened)) + self.peak)
 
     def bound(self, least: Array | None) -> Array:
         """Return the most that ln p can be: see `RangeErrors`."""
-        widened = 0 if least is None else np.log1p(self._precision * least)
-        known = np.where(np.isfinite(self.std), self.std, 1)
-        return np.asarray(-np.log(math.sqrt(2 * math.pi) * known) - widened / 2, np.float32)
+        if least is None:
+            return self.peak
+        return np.asarray(self.peak - np.log1p(least / (self.std * self.std)) / 2)
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Return errors: see `RangeErrors`."""
@@ -84,15 +97,11 @@ class GaussianErrors:
 
     def widened(self, variance: Array) -> GaussianErrors:
         """Return a wider law: see `RangeErrors`."""
-        return GaussianErrors(np.sqrt(self.std * self.std + variance))
+        return GaussianErrors.of(np.sqrt(self.std * self.std + variance))
 
     def at(self, vehicle: Array | slice) -> GaussianErrors:
         """Return the law for other points: see `RangeErrors`."""
-        return GaussianErrors(flat(self.std, vehicle))
-
-    @property
-    def _precision(self) -> Array:
-        return 1 / (self.std * self.std)
+        return GaussianErrors(flat(self.std, vehicle), flat(self.peak, vehicle))
 
 
 @dataclass(frozen=True, eq=False)

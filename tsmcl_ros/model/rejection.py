@@ -133,19 +133,24 @@ class RejectionFilter(RedrawingFilter):
         rejected = which[:, None] & ~self._passed(
             presence.log_likelihood(self.cloud.particles))
         redraw: Redraw | None = None
-        owner, index = np.nonzero(rejected & self.predicted[:, None])
+        # Places in one list of all vehicles' particles, which is theirs as long as it is no copy.
+        assert states.flags.c_contiguous and weights.flags.c_contiguous
+        count, columns = weights.shape[1], states.shape[2]
+        place = np.flatnonzero(rejected & self.predicted[:, None])
         for _ in range(self.config.max_redraws):
-            if not len(owner):
+            if not len(place):
                 break
             redraw = redraw or self.redraws(evidence, ~rejected)
+            owner = place // count
             drawn, weight, valid = redraw(owner)
             self.draws += np.bincount(owner, minlength=len(which))
             valid[valid] = self._passed(
                 presence.log_likelihood_of(drawn[valid, :dimension], owner[valid]))
-            found = owner[valid], index[valid]
-            states[found], weights[found] = drawn[valid], weight[valid]
-            rejected[found] = False
-            owner, index = owner[~valid], index[~valid]
+            found = place[valid]
+            states.reshape(-1, columns)[found] = drawn[valid]
+            weights.reshape(-1)[found] = weight[valid]
+            rejected.reshape(-1)[found] = False
+            place = place[~valid]
         self.predicted[:] = False
         starved = rejected.all(axis=1)
         rejected[starved] = False

@@ -121,21 +121,22 @@ class KnownAnchors:
             Naming the first one that is not.
 
         """
+        if not len(self._map.identity):
+            return
         index, there = self._map.find(observation.sender)
-        vehicle, row = np.nonzero(there)
-        posing = np.flatnonzero(observation.kind[there] == VEHICLE)
-        if len(posing):
+        posing = there & (observation.kind == VEHICLE)
+        if posing.any():
             raise MessageError(
-                f'beacons: a vehicle claims id {observation.sender[there][posing[0]]}, which is '
+                f'beacons: a vehicle claims id {observation.sender[posing][0]}, which is '
                 'that of an anchor of the map, must have one of its own')
-        place, claim = self._map.position[index[there]], observation.position[there]
-        wrong = np.flatnonzero(np.abs(claim - place).max(axis=1) > _TOLERANCE)
-        if len(wrong):
-            first = wrong[0]
+        place = self._map.position.take(index, axis=0)
+        off = np.abs(observation.position - place).max(axis=2, initial=0)
+        wrong = there & ~(off <= _TOLERANCE)
+        if wrong.any():
             raise MessageError(
-                f'{what}: anchor {observation.sender[vehicle[first], row[first]]} claims '
-                f'{claim[first].tolist()} m, must be where the anchor map has it, '
-                f'{place[first].tolist()} m, to {_TOLERANCE:g} m')
+                f'{what}: anchor {observation.sender[wrong][0]} claims '
+                f'{observation.position[wrong][0].tolist()} m, must be where the anchor map has '
+                f'it, {place[wrong][0].tolist()} m, to {_TOLERANCE:g} m')
 
     def listen(self, observation: Observation, centre: Array, reach: Array) -> Observation:
         """
