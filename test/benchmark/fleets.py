@@ -46,13 +46,14 @@ SETTLING = 3
 # ns a particle and update, of the method alone.
 BOUNDS = {'mcl': 15.0, 'rssi': 25.0, 'ts_mcl': 150.0}
 REASONS = {
-    'mcl': 'Of an update 40 % are the likelihoods of redraws under soft edges, 25 % the redraws, '
-           '15 % the first likelihoods; a tenth of the vehicles, of whose particles hardly any '
-           'survives, cause half of the draws.',
-    'rssi': 'Of an update 60 % are the likelihoods, with outliers reckoned in, 20 % resampling '
-            'with its jitter, 7 % the covariances.',
-    'ts_mcl': 'Of an update 62 % are the search (19 % its likelihoods, 17 % drawing neighbours), '
-              '17 % the first likelihoods.',
+    'mcl': 'By cProfile 45 % of an update are redraws, of which there are more than one a '
+           'particle (24 % their likelihoods under soft edges, 21 % drawing them), 13 % the first '
+           'likelihoods, 10 % the prediction; a tenth of the vehicles, of whose particles hardly '
+           'any survives, cause half of the draws.',
+    'rssi': 'By cProfile 36 % of an update are the likelihoods, with outliers reckoned in, 20 % '
+            'the prediction, 17 % resampling with its jitter, 15 % the covariances.',
+    'ts_mcl': 'By cProfile 40 % of an update are the search (18 % its likelihoods, 8 % drawing '
+              'neighbours), 20 % the first likelihoods, 16 % the prediction.',
 }
 
 

@@ -46,9 +46,9 @@ OURS = {
     'min_particles': PARTICLES, 'max_particles': PARTICLES, 'max_iterations': 0, 'jitter': 0.0}
 THRESHOLD = 0.5
 REASON = (
-    'one vehicle is too few for the batch axis to help. By cProfile an update makes 380 calls, '
-    'each of which costs about the same whatever its size: 20 % lay the evidence out, 18 % score, '
-    '18 % resample, 17 % make the estimate, 14 % predict. Written by hand for this case alone '
+    'one vehicle is too few for the batch axis to help. By cProfile an update makes 370 calls, '
+    'each of which costs about the same whatever its size: 21 % make the estimate, 19 % lay the '
+    'evidence out, 19 % resample, 15 % score, 13 % predict. Written by hand for this case alone '
     'numpy itself comes to about 0.36, which leaves nothing for what a filter of any evidence, '
     'uncertain references and recovery asks of an epoch.')
 

@@ -128,7 +128,9 @@ class OdometryMotion:
         displacement, turn, std = self.measured(motion, len(states), dimension)
         moved = states.copy()
         position = moved[:, :, :dimension]
-        position += std[:, None, None] * rng.standard_normal(position.shape, np.float32)
+        for rows in chunks(*states.shape[:2]):
+            some = position[rows]
+            some += std[rows, None, None] * rng.standard_normal(some.shape, np.float32)
         self._drive(moved, displacement, turn, rng)
         return moved
 
