@@ -20,7 +20,7 @@ from tsmcl_ros.evaluation.experiments.common import follow, rmse
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import Array
 
-VEHICLES, EPOCHS, WORLDS = 20, 200, 2
+VEHICLES, EPOCHS, WORLDS = 20, 200, 4
 PARTICLES = {'bootstrap': (1000, 3000), 'ts_mcl': (100, 200)}
 NEAR = 0.1  # as in the experiment
 REASON = (

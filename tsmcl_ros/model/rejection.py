@@ -18,7 +18,7 @@ from tsmcl_ros.model.kernel import choose, Kernel
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import spread
 from tsmcl_ros.model.radio import Channel
-from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
+from tsmcl_ros.types import Array, Estimate, items, Motion, Observation, Prior
 
 # Draws states (M, D + extra) and their weights (M,) for vehicles (M,), and tells which are valid.
 Redraw = Callable[[Array], tuple[Array, Array, Array]]
@@ -135,7 +135,7 @@ class RejectionFilter(RedrawingFilter):
         redraw: Redraw | None = None
         # Places in one list of all vehicles' particles, which is theirs as long as it is no copy.
         assert states.flags.c_contiguous and weights.flags.c_contiguous
-        count, columns = weights.shape[1], states.shape[2]
+        count, particles = weights.shape[1], items(states.reshape(-1, states.shape[2]))
         place = np.flatnonzero(rejected & self.predicted[:, None])
         for _ in range(self.config.max_redraws):
             if not len(place):
@@ -146,9 +146,10 @@ class RejectionFilter(RedrawingFilter):
             self.draws += np.bincount(owner, minlength=len(which))
             valid[valid] = self._passed(
                 presence.log_likelihood_of(drawn[valid, :dimension], owner[valid]))
-            found = place[valid]
-            states.reshape(-1, columns)[found] = drawn[valid]
-            weights.reshape(-1)[found] = weight[valid]
+            kept = np.flatnonzero(valid)
+            found = place[kept]
+            particles[found] = items(drawn)[kept]
+            weights.reshape(-1)[found] = weight[kept]
             rejected.reshape(-1)[found] = False
             place = place[~valid]
         self.predicted[:] = False

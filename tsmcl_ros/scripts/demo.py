@@ -33,7 +33,8 @@ from tsmcl_ros.scripts.scenario import RANGE_FREE, read_scenario, Scenario
 from tsmcl_ros.types import ConfigError, TsmclError
 
 _START_PATIENCE = 60.0  # s, for four processes that import and find each other
-_STOP_PATIENCE = 10.0  # s, for one to close what it has open
+_LAST_PATIENCE = 10.0  # s, for the last estimates
+_STOP_PATIENCE = 60.0  # s, for one to close what it has open, a recorder of 500 topics among them
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -135,7 +136,7 @@ def _show(bar: Any, watch: Watch, processes: Processes, vehicles: int) -> None:
         bar.set_description(f'{watch.localized}/{vehicles} vehicles localized', False)
         bar.update(watch.time - bar.n)
     watch.drain(quiet=0.2, timeout=2.0)  # the last time it showed may not have been handled yet
-    watch.spin(lambda: watch.estimated >= watch.time, _STOP_PATIENCE)
+    watch.spin(lambda: watch.estimated >= watch.time, _LAST_PATIENCE)
 
 
 def _compare(
