@@ -19,7 +19,7 @@ def column(value: float) -> np.ndarray:
 
 
 LAWS: list[RangeErrors] = [
-    GaussianErrors.of(column(3.0)), AsymmetricErrors(column(SHORT), column(LONG))]
+    GaussianErrors.of(column(3.0)), AsymmetricErrors.of(column(SHORT), column(LONG))]
 
 
 def density(law: RangeErrors, error: float, variance: float | None = None) -> float:
@@ -77,7 +77,7 @@ def test_errors_are_drawn_by_their_density(law: RangeErrors) -> None:
 
 def test_errors_without_scales_are_zero() -> None:
     padded = column(np.inf)
-    for law in (GaussianErrors.of(padded), AsymmetricErrors(padded, padded)):
+    for law in (GaussianErrors.of(padded), AsymmetricErrors.of(padded, padded)):
         assert not law.draw(5, np.random.default_rng(1)).any()
 
 
@@ -98,7 +98,7 @@ def test_ranges_resolve_what_their_law_s_fisher_information_says(noise: str) -> 
     std, used = channel.resolution(observation)
     scales = 0.058 * 20 + 0.01, 0.19 * 20 + 0.21
     law = (GaussianErrors.of(column(3.0)) if noise == 'gaussian' else
-           AsymmetricErrors(*(column(scale) for scale in scales)))
+           AsymmetricErrors.of(*(column(scale) for scale in scales)))
     # Beside the peak, of which a step would take both sides.
     error = np.linspace(-150, 150, 60_000)
     log_density = law.log_density(error[None, None], None)[0, 0].astype(np.float64)

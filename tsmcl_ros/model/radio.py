@@ -479,8 +479,8 @@ class Channel:
         errors: RangeErrors
         if self._asymmetric:
             indicated = self._indicated(ranges)
-            errors = AsymmetricErrors(*(column(np.where(ranged, scale, np.inf))
-                                        for scale in self._asymmetry(indicated)))
+            errors = AsymmetricErrors.of(*(column(np.where(ranged, scale, np.inf))
+                                           for scale in self._asymmetry(indicated)))
         else:
             # Not cut at 0: a normal error reaches below.
             indicated = (ranges - self.calibration.bias) / self.calibration.scale

@@ -117,35 +117,43 @@ class AsymmetricErrors:
     ----------
     short, long : (V, E, 1) float32
         Mean of the errors of each sign [m], inf where padded.
+    peak : (V, E, 1) float32
+        The most that ln p can be.
 
     """
 
     short: Array
     long: Array
+    peak: Array
+
+    @classmethod
+    def of(cls, short: Array, long: Array) -> AsymmetricErrors:
+        """Return errors of these means (V, E, 1) [m], inf where padded."""
+        total = short + long
+        return cls(short, long, np.asarray(-np.log(np.where(np.isfinite(total), total, 1))))
 
     def log_density(self, error: Array, variance: Array | None) -> Array:
         """Return ln p(e): see `RangeErrors`."""
         if variance is None:
             decay = error * (1 / self.long)
             np.minimum(decay, error * (-1 / self.short), out=decay)
-            decay += self.bound(None)
+            decay += self.peak
             return np.asarray(decay)
         std = np.sqrt(np.maximum(variance, np.float32(1e-6)))
         positive, negative = (_one_sided(error, std, self.short),
                               _one_sided(-error, std, self.long))
-        peak = np.maximum(positive, negative)
-        rest = np.exp(np.minimum(positive, negative) - peak)
-        return np.asarray(peak + np.log(1 + rest) + self.bound(None))
+        larger = np.maximum(positive, negative)
+        rest = np.exp(np.minimum(positive, negative) - larger)
+        return np.asarray(larger + np.log(1 + rest) + self.peak)
 
     def bound(self, least: Array | None) -> Array:
         """Return the most that ln p can be: see `RangeErrors`."""
-        total = self.short + self.long
-        peak = -np.log(np.where(np.isfinite(total), total, 1))
         if least is None:
-            return np.asarray(peak)
+            return self.peak
         # Neither density can be exceeded by their convolution; a padded one stays at 1.
         gaussian = -0.5 * np.log(2 * np.pi * np.maximum(least, np.float32(1e-12)))
-        return np.where(np.isfinite(total), np.minimum(peak, gaussian), 0)
+        return np.where(
+            np.isfinite(self.short + self.long), np.minimum(self.peak, gaussian), 0)
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Return errors: see `RangeErrors`."""
@@ -155,12 +163,13 @@ class AsymmetricErrors:
 
     def widened(self, variance: Array) -> AsymmetricErrors:
         """Return a wider law: see `RangeErrors`."""
-        return AsymmetricErrors(
+        return AsymmetricErrors.of(
             *(np.sqrt(scale * scale + variance / 2) for scale in (self.short, self.long)))
 
     def at(self, vehicle: Array | slice) -> AsymmetricErrors:
         """Return the law for other points: see `RangeErrors`."""
-        return AsymmetricErrors(flat(self.short, vehicle), flat(self.long, vehicle))
+        return AsymmetricErrors(*(
+            flat(each, vehicle) for each in (self.short, self.long, self.peak)))
 
 
 @dataclass(frozen=True, eq=False)
