@@ -11,6 +11,7 @@ from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
+    chunks,
     effective_sample_size,
     even_resample,
     kernel_density,
@@ -280,9 +281,9 @@ class Cloud:
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
-        vehicle, at_once = np.flatnonzero(which), max(_CANDIDATES // self.config.max_particles, 1)
-        for first in range(0, len(vehicle), at_once):
-            self._draw_some(vehicle[first:first + at_once], evidence, repair)
+        vehicle = np.flatnonzero(which)
+        for rows in chunks(len(vehicle), self.config.max_particles, _CANDIDATES):
+            self._draw_some(vehicle[rows], evidence, repair)
 
     def _draw_some(self, vehicle: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw particles of some vehicles (W,) int."""

@@ -15,9 +15,9 @@ from tsmcl_ros.types import Array
 _CHUNK = 8192
 
 
-def chunks(count: int, size: int = 1) -> list[slice]:
-    """Return slices of so many rows of a size that what is made of them stays in the cache."""
-    step = max(_CHUNK // max(size, 1), 1)
+def chunks(count: int, size: int = 1, most: int = _CHUNK) -> list[slice]:
+    """Return slices of rows of a size, of at most so many points: by default a cache's fill."""
+    step = max(most // max(size, 1), 1)
     return [slice(first, first + step) for first in range(0, count, step)]
 
 
