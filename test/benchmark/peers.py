@@ -49,7 +49,7 @@ REASON = (
     'one vehicle is too few for the batch axis to help. By cProfile an update makes 370 calls, '
     'each of which costs about the same whatever its size: 21 % make the estimate, 19 % lay the '
     'evidence out, 19 % resample, 15 % score, 13 % predict. Written by hand for this case alone '
-    'numpy itself comes to about 0.36, which leaves nothing for what a filter of any evidence, '
+    'numpy itself comes to nearly 0.4, which leaves nothing for what a filter of any evidence, '
     'uncertain references and recovery asks of an epoch.')
 
 

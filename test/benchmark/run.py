@@ -36,10 +36,13 @@ COMMAND = 'make bench'
 def main() -> None:
     """Print every section as it comes, then write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('names', nargs='*', metavar='NAME', choices=[[], *NAMES],
+    parser.add_argument('names', nargs='*', metavar='NAME',
                         help=f'which benchmarks: {", ".join(NAMES)} (default: all)')
     parser.add_argument('--out', type=Path, help='page to write')
     options = parser.parse_args()
+    for name in options.names:
+        if name not in NAMES:
+            parser.error(f'{name} is not allowed, must be one of {", ".join(NAMES)}')
     sections = []
     for name in options.names or NAMES:
         section = importlib.import_module(name).measure()
