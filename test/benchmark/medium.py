@@ -103,8 +103,8 @@ def measure() -> Section:
             Goal('the same where vehicles hear each other, too', 1e3 * cooperative[full], 100,
                  unit='ms',
                  reason='Each vehicle hears 17 others, and up to 45 in the middle, to which the '
-                 'tables are padded: to fill them takes 40 % of the time, the search for 170 000 '
-                 'pairs 30 %.'),
+                 'tables are padded: to fill them takes 28 % of the time, the search for 170 000 '
+                 'pairs 26 %.'),
             Goal('exponent of growth of an epoch, from 2500 vehicles to 40 000',
                  _exponent(epochs[1:]), 1.15),
             Goal('the same where vehicles hear each other, too', _exponent(cooperative[1:]),
