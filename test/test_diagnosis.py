@@ -22,8 +22,9 @@ def scan(stamp, place, liar=None):
     return heard
 
 
-def run(*scans):
-    localizer = Localizer({'range_std': 1.0, 'motion_model': 'velocity', 'method': 'ekf'}, 2)
+def run(*scans, **settings):
+    localizer = Localizer(
+        {'range_std': 1.0, 'motion_model': 'velocity', 'method': 'ekf'} | settings, 2)
     for observation in scans:
         localizer.epoch(observation)
     return diagnose(localizer, VEHICLES, 'here', localizer.health.status, {'latency [s]': 0.25})
@@ -48,6 +49,12 @@ def test_the_numbers_behind_it_are_told():
     assert diagnosis.values['beacons heard'] == '4'
     assert diagnosis.values['latency [s]'] == '0.25'
     assert float(diagnosis.values['probability of being lost']) < 0.01
+
+
+def test_who_is_ignored_is_told_and_how_often():
+    told = [diagnosis.values for diagnosis in run(*still(5), anchor_allowlist=('0', '1'))]
+    assert [values['beacons and ranges ignored'] for values in told] == ['10', '0']
+    assert {values['senders ignored'] for values in told} == {'2, 3'}
 
 
 def test_a_vehicle_that_no_beacon_has_placed_is_lost():

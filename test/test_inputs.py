@@ -40,6 +40,28 @@ def senders(endpoint, scans):
     return [scan.sender[0].tolist() for _, scan in scans]
 
 
+# --- who may speak ---------------------------------------------------------------------------
+
+def test_ranges_to_strangers_are_left_out_and_counted():
+    endpoint, handlers, scans = listen(
+        '/uwb/n_7/n_5', '/uwb/n_7/n_6', ranges=(PAIR,), anchors=ANCHORS,
+        settings={'anchor_allowlist': ('6',)})
+    for topic in ('/uwb/n_7/n_5', '/uwb/n_7/n_6'):
+        handlers[topic](measured(1.0))
+    assert senders(endpoint, scans) == [[6]]
+    assert endpoint.localizer.speakers.senders == {5: 1}
+
+
+def test_references_are_held_against_the_list_of_vehicles():
+    endpoint, handlers, scans = listen(
+        '/uwb/n_7/n_5', kinds={'/robot/pose': 'geometry_msgs/msg/PoseStamped'}, ranges=(PAIR,),
+        references=('5 /robot/pose',), settings={'vehicle_allowlist': ('6',)})
+    handlers['/uwb/n_7/n_5'](measured(1.0))
+    assert senders(endpoint, scans) == []
+    assert endpoint.localizer.speakers.senders == {5: 1}
+    assert endpoint.ranges.unplaced == {}
+
+
 # --- which topics ----------------------------------------------------------------------------
 
 def test_relative_ranges_are_those_of_each_vehicle():

@@ -39,6 +39,7 @@ class Parameter:
     above: float | None = None
     choices: tuple[Any, ...] = ()
     live: bool = False
+    ids: bool = False
 
     @property
     def allowed(self) -> str:
@@ -68,8 +69,8 @@ class Parameter:
         """
         Return the value as this parameter's type.
 
-        Only lossless conversions are made: a whole number where a number is wanted, a list
-        where a tuple is.
+        Only lossless conversions are made: a whole number where a number or an id is wanted, a
+        list where a tuple is.
 
         Raises
         ------
@@ -80,7 +81,7 @@ class Parameter:
         if self.type is float and type(value) is int and abs(value) <= sys.float_info.max:
             value = float(value)
         elif self.type is tuple and isinstance(value, (list, tuple)):
-            value = tuple(value)
+            value = tuple(str(item) if self.ids and type(item) is int else item for item in value)
         if type(value) is not self.type:
             raise self.refuse(value)
         if self.type is tuple and not all(isinstance(item, str) for item in value):
@@ -125,7 +126,8 @@ def param(default: Any, doc: str, **constraints: Any) -> Any:
         One line.
     **constraints
         `unit`, `low` and `high` (inclusive), `above` (exclusive), `choices`, `live` if it may
-        change while what it configures runs, and `name` where ROS users know it by one that is
+        change while what it configures runs, `ids` if whole numbers may stand among a list's
+        texts, and `name` where ROS users know it by one that is
         no identifier (`initial_pose.x`).
 
     """

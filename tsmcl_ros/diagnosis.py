@@ -40,7 +40,7 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
         More to tell, the same of all.
 
     """
-    health, estimate = localizer.health, localizer.estimate
+    health, estimate, speakers = localizer.health, localizer.estimate, localizer.speakers
     placed = np.zeros(len(vehicles), bool)
     common = {'method': localizer.config.method, 'seed': localizer.config.seed}
     if estimate is not None:
@@ -59,6 +59,9 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
         if estimate is not None:
             values['effective particles'] = float(estimate.ess[vehicle])
             values['beacons heard'] = int(estimate.heard[vehicle])
+        if not speakers.heed_all:
+            values['beacons and ranges ignored'] = int(speakers.ignored[vehicle])
+            values['senders ignored'] = ', '.join(map(str, sorted(speakers.senders)))
         diagnoses.append(Diagnosis(
             _LEVELS[now], f'{node}: {name}',
             f'{reason}, suspects {suspects}' if suspects else reason, name,

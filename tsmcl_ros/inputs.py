@@ -20,7 +20,7 @@ from tsmcl_ros.config import Config, param
 from tsmcl_ros.gathering import Gatherer, Reading, Track
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.topics import absolute, compiled, few, match_topic, of_kinds
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, MessageError, Observation
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, MessageError, Observation, VEHICLE
 
 Handler = Callable[[bytes], None]
 T = TypeVar('T')
@@ -228,10 +228,20 @@ class RangeInput:
             self._localizer.admit(
                 'range', reading.stamp, self._gatherer.last(vehicle, topic, sender))
             self.gather()
+            distance = reading.range if self._is_heeded(vehicle, sender) else math.nan
             self._gatherer.add(vehicle, topic, Reading(
-                reading.stamp, sender, reading.range, math.sqrt(reading.variance)))
+                reading.stamp, sender, distance, math.sqrt(reading.variance)))
         self._localizer.clock(reading.stamp)
         self.gather()
+
+    def _is_heeded(self, vehicle: int, sender: int) -> bool:
+        """Tell whether a sender may speak, and count a range to one that may not."""
+        speakers = self._localizer.speakers
+        moves = sender in self._gatherer.references
+        if speakers.heed_all or speakers.heeds(np.array(sender), VEHICLE if moves else ANCHOR):
+            return True
+        speakers.count(vehicle, [sender])
+        return False
 
     def _reference_handler(self, sender: int, kind: str) -> Handler:
         unknown = self._config.reference_std ** 2 * np.eye(3)

@@ -26,6 +26,7 @@ from tsmcl_ros.model.outage import OutagePredictor
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
+from tsmcl_ros.model.speakers import SpeakerConfig, Speakers
 from tsmcl_ros.types import (
     Array,
     ConfigError,
@@ -88,7 +89,7 @@ class LocalizerConfig(Config):
 
 
 CONFIGS: tuple[type[Config], ...] = (
-    LocalizerConfig, HealthConfig, RadioConfig, EvidenceConfig, MotionConfig,
+    LocalizerConfig, SpeakerConfig, HealthConfig, RadioConfig, EvidenceConfig, MotionConfig,
     *(method.Config for method in METHODS.values()))
 
 
@@ -135,6 +136,8 @@ class Localizer:
     ----------
     restarts : int
         How often time has jumped, and everything started anew.
+    speakers : Speakers
+        Who is heeded, and what others said.
 
     Raises
     ------
@@ -153,6 +156,7 @@ class Localizer:
         self.health_config = build(HealthConfig, settings)
         self.vehicles = vehicles
         self.restarts = 0
+        self.speakers = Speakers(build(SpeakerConfig, settings), vehicles)
         self._anchors = KnownAnchors(
             self.evidence_config.silence, vehicles, self.config.dimension)
         self._links = Links.none()
@@ -165,8 +169,8 @@ class Localizer:
     @property
     def configs(self) -> tuple[Config, ...]:
         """All that it is configured by."""
-        return (self.config, self.radio_config, self.evidence_config, self.motion_config,
-                self.method_config)
+        return (self.config, self.speakers.config, self.radio_config, self.evidence_config,
+                self.motion_config, self.method_config)
 
     def reconfigure(self, settings: Mapping[str, Any]) -> None:
         """
@@ -185,15 +189,15 @@ class Localizer:
 
         """
         refuse_unknown(settings, CONFIGS, 'localizer')
-        adjust((self.config, self.motion_config, self.method_config, self.radio_config,
-                self.evidence_config, self.health_config), settings)
-        self.channel.learn(self._links)
+        adjust((self.config, self.speakers.config, self.motion_config, self.method_config,
+                self.radio_config, self.evidence_config, self.health_config), settings)
+        self._learn_links()
 
     def reset(self) -> None:
         """Forget everything but the configuration, the anchor map, and the anchors' links."""
         self._rng = np.random.Generator(np.random.SFC64(self.config.seed))
         self.channel = Channel(self.radio_config, self.evidence_config)
-        self.channel.learn(self._links)
+        self._learn_links()
         self._anchors.forget()
         self._odometry = OdometryBuffer(self.vehicles)
         self._outage = OutagePredictor(
@@ -268,6 +272,9 @@ class Localizer:
 
         """
         self._anchors.learn_map(anchors.project(self.config.dimension))
+        self.speakers.learn_map(anchors)
+        if not self.speakers.heed_all:
+            self._learn_links()
 
     def ignore_silence(self) -> None:
         """Take no anchor's silence for evidence, as who is heard is not all who are near."""
@@ -289,7 +296,7 @@ class Localizer:
         table.sender[0], table.position[0] = links.receiver, links.receiver_position
         self._anchors.check(table.project(self.config.dimension), 'anchor links')
         self._links = self._links.updated(links)
-        self.channel.learn(self._links)
+        self._learn_links()
 
     def beacons(self, vehicle: int, observation: Observation) -> None:
         """
@@ -308,7 +315,8 @@ class Localizer:
             raise MessageError(
                 f'beacons: stamp {stamp:.6f} s is not allowed, must be after the last epoch, '
                 f'{self._last:.6f} s')
-        observation = observation.project(self.config.dimension)
+        observation = self.speakers.heed(
+            observation.project(self.config.dimension), [vehicle])
         self._anchors.check(observation)
         refuse_certainty(observation)
         self._passed[vehicle] = stamp
@@ -413,7 +421,8 @@ class Localizer:
         """
         if position is not None:
             self._odometry.add_all(observation.stamp, position, yaw)
-        return self._epoch(observation.project(self.config.dimension))
+        return self._epoch(self.speakers.heed(
+            observation.project(self.config.dimension), range(self.vehicles)))
 
     def _epoch(self, observation: Observation) -> Estimate:
         """Predict, update and judge: the core that every path runs through."""
@@ -436,7 +445,7 @@ class Localizer:
             self._outage.forget(prior.vehicle)
             self._monitor.forget(prior.vehicle)
         self._priors = []
-        claimed = self._listen(observation)
+        claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
         self._judge(observation)
         estimate = self._oriented(self._method.update(observation))
@@ -486,6 +495,14 @@ class Localizer:
         spread = np.sqrt(np.trace(self._estimate.covariance, axis1=1, axis2=2))
         moved = self.motion_config.max_speed * (observation.stamp - self._last)
         return self._anchors.listen(observation, self._estimate.mean, 4 * spread + moved)
+
+    def _learn_links(self) -> None:
+        """Calibrate by the links between those who are heeded."""
+        links = self._links
+        if not self.speakers.heed_all:
+            heeds = self.speakers.heeds
+            links = links.picked(heeds(links.receiver) & heeds(links.sender))
+        self.channel.learn(links)
 
     def _guarded(self, observation: Observation) -> Observation:
         """Believe no more of other vehicles than they can know without this one."""

@@ -292,7 +292,7 @@ class Links:
 
     def without(self, sender: Array) -> Links:
         """Return the links in which none of these (S,) is heard."""
-        return self._picked(~np.isin(self.sender, sender))
+        return self.picked(~np.isin(self.sender, sender))
 
     def updated(self, news: Links) -> Links:
         """Return the links of both; where both have one, the news win."""
@@ -302,9 +302,10 @@ class Links:
         _, first = np.unique(ends, axis=1, return_index=True)
         return Links(*(
             np.concatenate([getattr(news, field.name), getattr(self, field.name)])
-            for field in fields(Links)))._picked(first)
+            for field in fields(Links))).picked(first)
 
-    def _picked(self, rows: Array) -> Links:
+    def picked(self, rows: Array) -> Links:
+        """Return some of the links: an index, or (L,) bool."""
         return Links(*(getattr(self, field.name)[rows] for field in fields(Links)))
 
 

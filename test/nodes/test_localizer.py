@@ -10,6 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Empty
 from tsmcl_ros import messages
@@ -17,6 +18,7 @@ from tsmcl_ros.bag import Reader
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.nodes import localizer
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.runtime import (
@@ -242,6 +244,37 @@ def test_diagnostics_go_from_lost_to_ok_to_stale(begin: Callable[..., Scene]) ->
     assert float(facts['effective particles']) > 0
     scene.until(lambda: told[-1].level == DiagnosticStatus.WARN, 'STALE, as nothing comes')
     assert told[-1].message.startswith('STALE')
+
+
+def test_strangers_are_ignored_named_once_and_can_be_let_in_while_it_runs(
+    begin: Callable[..., Scene], capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(localizer, '_WARNING_PERIOD', 0.05)
+    scene = begin(anchor_allowlist=['1'])
+    told: list[DiagnosticStatus] = []
+    scene.probe.listen(
+        '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray',
+        lambda data: told.extend(deserialize_message(data, DiagnosticArray).status), RELIABLE)
+    source = Source(scene.probe, world(), ['/veh_0'])
+    scene.until(lambda: source.is_heard() and bool(told), 'the first diagnostics')
+
+    def facts() -> dict[str, str]:
+        return {item.key: item.value for item in told[-1].values}
+
+    def step(heard: Callable[[int], bool]) -> None:
+        source.step()
+        scene.until(lambda: heard(int(facts().get('beacons heard', -1))), 'a diagnosis')
+
+    step(lambda count: count in (0, 1))
+    assert int(facts()['beacons and ranges ignored']) > 0
+    assert '1' not in facts()['senders ignored'].split(', ')
+    scene.node.spin(timeout=0.3)
+    written = capfd.readouterr().err
+    assert written.count('ignored beacons and ranges, ') == 1
+    set_one, = scene.node.set_parameters([Parameter('anchor_allowlist', value=['0-99'])])
+    assert set_one.successful
+    step(lambda count: count > 1)
 
 
 def test_every_second_of_the_messages_time_is_diagnosed(begin: Callable[..., Scene]) -> None:

@@ -30,6 +30,7 @@ class CarConfig(Config):
     wheels: int = param(4, 'how many', low=1)
     colour: str = param('red', 'of the roof', choices=('red', 'blue'))
     passengers: tuple[str, ...] = param((), 'who is in')
+    seats: tuple[str, ...] = param(('1',), 'which are taken', ids=True)
 
     def check(self) -> None:
         if self.wheels == 1 and self.speed > 1:
@@ -52,7 +53,8 @@ def car() -> Iterator[Car]:
 def test_without_overrides_the_defaults_of_the_config_hold(ros: Ros) -> None:
     ros()
     with car() as node:
-        assert node.settings == {'speed': 1.0, 'wheels': 4, 'colour': 'red', 'passengers': ()}
+        assert node.settings == {'speed': 1.0, 'wheels': 4, 'colour': 'red', 'passengers': (),
+                                 'seats': ('1',)}
 
 
 def test_overrides_from_the_command_line_hold_and_whole_numbers_serve_as_numbers(
@@ -76,6 +78,17 @@ def test_a_list_of_texts_may_be_empty_or_written_without_brackets(
         assert node.settings['passengers'] == meant
 
 
+@pytest.mark.parametrize(
+    ('given', 'meant'), [('7', ('7',)), ('[2, 3]', ('2', '3')), ('2,b', ('2', 'b'))],
+)
+def test_a_list_of_ids_may_be_written_as_numbers(
+    ros: Ros, given: str, meant: tuple[str, ...],
+) -> None:
+    ros('-p', f'seats:={given}')
+    with car() as node:
+        assert node.settings['seats'] == meant
+
+
 def test_parameter_files_are_read(ros: Ros, tmp_path) -> None:
     path = tmp_path / 'car.yaml'
     path.write_text('car:\n  ros__parameters:\n    speed: 2.5\n')
@@ -89,6 +102,9 @@ def test_parameter_files_are_read(ros: Ros, tmp_path) -> None:
     ('speed:=fast', "speed: 'fast' is not allowed"),
     ('colour:=green', "colour: 'green' is not allowed, must be one of red, blue"),
     ('passengers:=[1, 2]', 'passengers: (1, 2) is not allowed, must be a list of texts'),
+    ('passengers:=1', 'passengers: 1 is not allowed, must be a list of texts'),
+    ('passengers:=true', 'passengers: True is not allowed, must be a list of texts'),
+    ('seats:=[1.5]', 'seats: (1.5,) is not allowed, must be a list of texts'),
     ('sped:=1.0', "--ros-args: unknown parameter 'sped', did you mean speed?"),
 ])
 def test_an_override_that_is_not_allowed_is_refused_with_what_is(

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+import re
 import signal
 import sqlite3
 import time
@@ -533,6 +534,14 @@ def test_what_only_some_of_the_ranges_need_is_noted(tmp_path, capsys):
         '/veh_0/uwb/n_1, /veh_0/uwb/n_2, /veh_0/uwb/n_3, /veh_0/uwb/n_4',
         'note: references: topic /robot/pose of id 9 is not there, must be one of '
         '/veh_0/ground_truth, /veh_0/odom']
+
+
+def test_beacons_of_strangers_are_ignored_and_noted(bag, tmp_path, capsys):
+    assert localize(bag, tmp_path / 'out', '--anchor-allowlist', '1,3-4') == 0
+    note, = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(
+        r'note: ignored beacons and ranges, \d+ of id 2, whom neither anchor_allowlist nor '
+        'vehicle_allowlist names', note)
 
 
 def test_a_namespace_without_beacons_is_named(bag, tmp_path, capsys):

@@ -12,6 +12,7 @@ from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.csv_log import read_anchors
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes.security import SecurityConfig
 from tsmcl_ros.types import Links, Observation
 from tsmcl_ros.world import anchor_table, AnchorConfig, hear_each_other, lay_out
 
@@ -38,7 +39,7 @@ class Anchor(runtime.Node):
     """
 
     default_name = 'anchor'
-    configs = (BroadcastConfig, AnchorConfig, RadioConfig)
+    configs = (BroadcastConfig, SecurityConfig, AnchorConfig, RadioConfig)
 
     def __init__(self) -> None:
         super().__init__()

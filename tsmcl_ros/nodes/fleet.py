@@ -12,6 +12,7 @@ from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.managed import LifecycleConfig
+from tsmcl_ros.nodes.security import SecurityConfig
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Fleet(LocalizerNode):
     """
 
     default_name = 'fleet'
-    configs = (LifecycleConfig, FleetConfig, FleetOutputConfig, InputConfig, *CONFIGS)
+    configs = (LifecycleConfig, SecurityConfig, FleetConfig, FleetOutputConfig, InputConfig,
+               *CONFIGS)
 
     def vehicle_names(self) -> list[str]:
         """Return the namespaces of the vehicles."""

@@ -20,9 +20,11 @@ from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig, Rest
 from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.model.health import LOST, STALE
+from tsmcl_ros.model.speakers import ignored_note
 from tsmcl_ros.nodes import discovery, runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import live, select
+from tsmcl_ros.nodes.security import SecurityConfig
 from tsmcl_ros.nodes.transforms import Broadcaster
 from tsmcl_ros.types import Estimate, MessageError, Observation
 from visualization_msgs.msg import MarkerArray
@@ -35,6 +37,8 @@ _QOS = {
     'initialpose': runtime.RELIABLE,
 }
 
+_WARNING_PERIOD = 5.0  # s, between two warnings of senders that are ignored
+
 
 class LocalizerNode(ManagedNode):
     """
@@ -46,7 +50,7 @@ class LocalizerNode(ManagedNode):
     """
 
     default_name = 'localizer'
-    configs = (LifecycleConfig, OutputConfig, InputConfig, *CONFIGS)
+    configs = (LifecycleConfig, SecurityConfig, OutputConfig, InputConfig, *CONFIGS)
     adjustable = live(configs)
 
     def set_up(self) -> None:
@@ -124,6 +128,8 @@ class LocalizerNode(ManagedNode):
         self.create_timer(
             DIAGNOSTICS_PERIOD, self._diagnose_anyway,
             clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(
+            _WARNING_PERIOD, self._warn_of_others, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_service(Empty, 'reinitialize_global_localization', self._reinitialize)
         self.create_service(Empty, 'request_nomotion_update', self._publish_again)
 
@@ -255,6 +261,11 @@ class LocalizerNode(ManagedNode):
             self._localizer, self._vehicles, self.get_name(), status,
             {'latency [s]': self._latency, 'time since the last message [s]': silence})
         self._diagnostics.publish(messages.encode_diagnostics(stamp, diagnoses))
+
+    def _warn_of_others(self) -> None:
+        """Name those who are ignored, each once."""
+        if news := self._localizer.speakers.news():
+            self.get_logger().warning(ignored_note(news))
 
     def _reinitialize(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
         for vehicle in range(len(self._vehicles)):

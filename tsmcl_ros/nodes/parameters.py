@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 import sys
 from typing import Any
@@ -131,7 +132,10 @@ def _convert(item: Parameter, value: Any) -> Any:
             return ()
         if isinstance(value, str):
             return item.parse(value)
-        return item.convert(list(value))
+        if type(value) is int and item.ids:
+            return item.convert([value])
+        # Numbers come in arrays of Python's.
+        return item.convert(list(value) if isinstance(value, array) else value)
     return item.convert(value)
 
 

@@ -27,6 +27,7 @@ import sys
 import threading
 import time
 from typing import Any, ClassVar
+import warnings
 
 import rclpy
 from rclpy.duration import Duration
@@ -75,6 +76,10 @@ _ROUNDING = 1e-6  # s, more than a stamp of today loses as a float
 # Where Fast DDS looks for its defaults, in Jazzy and later: users' own go before ours.
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 
+# All that rcl's failure to initialize with security enforced can mean.
+_NO_KEYSTORE = ('DDS security is enforced and ROS_SECURITY_KEYSTORE names no folder with the keys '
+                'of this enclave, must be a keystore')
+
 # Signals come to a process, and not to one of its objects.
 _asked_to_stop = threading.Event()
 
@@ -110,7 +115,8 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
     fixed: Callable[[], str] | None = None
 
     def __init__(self) -> None:
-        super().__init__(self.default_name)
+        with _plainly(ConfigError):
+            super().__init__(self.default_name)
         # rclpy offers no other way to see overrides of parameters that nobody has declared.
         self.settings = declare(
             self, self._parameter_overrides, self.configs, self.adjustable, self.fixed,
@@ -466,13 +472,25 @@ def session(arguments: Sequence[str] = ()) -> Iterator[None]:
 def _init(arguments: Sequence[str]) -> None:
     if not any(name in os.environ for name in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).with_name('fastdds.xml'))
-    try:
+    with _plainly(Misuse):
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+
+
+@contextmanager
+def _plainly(kind: type[Exception]) -> Iterator[None]:
+    """Raise what rcl complains of as an error of this kind, or as one of the configuration."""
+    try:
+        with warnings.catch_warnings():  # of what it could not tidy up after that
+            warnings.simplefilter('ignore', RuntimeWarning)
+            yield
     except RuntimeError as error:  # rclpy's own types are private
-        # What went wrong, without where in rcl's sources.
-        text = re.sub(r'^failed to initialize rcl: |,? at /\S+\.c:\d+', '',
+        # What went wrong, without where in its sources.
+        text = re.sub(r'^failed to initialize rcl: |,? at /\S+\.c(pp)?:\d+', '',
                       ' '.join(str(error).split()))
-        raise (ConfigError if 'params file' in text else Misuse)(text) from None
+        if text == 'error not set' and os.environ.get('ROS_SECURITY_ENABLE') == 'true':
+            text, kind = _NO_KEYSTORE, ConfigError
+        wrong = any(words in text for words in ('params file', 'SECURITY ERROR'))
+        raise (ConfigError if wrong else kind)(text) from None
 
 
 def _parser(node_class: type[Node]) -> argparse.ArgumentParser:

@@ -24,6 +24,7 @@ from tsmcl_ros.config import (
 from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig
 from tsmcl_ros.inputs import InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
+from tsmcl_ros.model.speakers import ignored_note
 from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
 from tsmcl_ros.scripts.outlet import Outlet
 from tsmcl_ros.scripts.wiring import copies, Remapping, vehicles, wire
@@ -31,7 +32,8 @@ from tsmcl_ros.topics import absolute
 from tsmcl_ros.types import MessageError, Progress, unshown
 
 # What a parameter file for the node may hold that has no meaning here.
-_NODES_OWN = {'use_sim_time', 'autostart', *(item.name for item in parameters(OutputConfig))}
+_NODES_OWN = {'use_sim_time', 'autostart', 'require_security',
+              *(item.name for item in parameters(OutputConfig))}
 _MAX_REASONS = 5
 
 
@@ -74,6 +76,8 @@ class Outcome:
         What is asked of the bag in vain, a line each.
     unplaced : mapping of int to int
         How many ranges of which sender were of no use, as nobody tells where it is.
+    ignored : mapping of int to int
+        How many beacons and ranges of which sender were ignored, as it may not speak.
     rejected : Counter of (topic, reason)
         How often messages were rejected; numbers in the reasons are those of the first one.
 
@@ -86,6 +90,7 @@ class Outcome:
     lag: float = math.nan
     missing: Sequence[str] = ()
     unplaced: Mapping[int, int] = field(default_factory=dict)
+    ignored: Mapping[int, int] = field(default_factory=dict)
     rejected: Counter[tuple[str, str]] = field(default_factory=Counter)
     _first: dict[tuple[str, str], str] = field(default_factory=dict)
 
@@ -112,6 +117,8 @@ class Outcome:
         yield from self.missing
         if self.unplaced:
             yield unplaced_note(self.unplaced)
+        if self.ignored:
+            yield ignored_note(self.ignored)
         if self.restarts:
             yield f'started anew where time jumped, {self.restarts} times'
         for (topic, reason), count in self.rejected.most_common(_MAX_REASONS):
@@ -208,6 +215,7 @@ def localize_bag(
             outlet.write(localizer.finish())
     outcome.poses = outlet.poses
     outcome.unplaced = endpoint.ranges.unplaced
+    outcome.ignored = localizer.speakers.senders
     outcome.restarts = localizer.restarts
     return outcome
 
