@@ -18,7 +18,7 @@ BASE = {'types', 'config'}
 MODEL = BASE | {'model'}
 WORLD = MODEL | {'traces', 'world'}
 LOCALIZER = MODEL | {'methods', 'localizer'}
-RECORDS = {'types', 'topics', 'cdr', 'messages', 'gathering', 'bag', 'csv_log'}
+RECORDS = {'types', 'topics', 'cdr', 'messages', 'gathering', 'bag', 'csv_log', 'repair'}
 LOWER = WORLD | LOCALIZER | RECORDS | {'inputs', 'endpoint', 'diagnosis'}
 OWN = {
     'types': set(),
@@ -27,7 +27,9 @@ OWN = {
     'cdr': {'types'},
     'messages': {'types', 'cdr'},
     'gathering': {'types'},
-    'bag': {'types'},
+    'storage': set(),
+    'bag': {'types', 'storage'},
+    'repair': {'types', 'storage', 'bag'},
     'csv_log': {'types', 'messages', 'gathering'},
     'model': BASE,
     'methods': MODEL,
@@ -54,7 +56,9 @@ OTHERS = {
     'cdr': {'numpy'},
     'messages': {'numpy'},
     'gathering': {'numpy'},
+    'storage': {'rosbags'},
     'bag': {'numpy', 'rosbags'},
+    'repair': {'rosbags'},
     'csv_log': {'numpy'},
     'model': {'numpy', 'scipy'},
     'methods': {'numpy'},

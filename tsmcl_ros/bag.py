@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 import re
+import shlex
 import signal
 import threading
 from types import FrameType, TracebackType
@@ -30,6 +31,7 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.store import Typestore
+from tsmcl_ros import storage as files
 from tsmcl_ros.types import BagError
 
 STORAGES = ('mcap', 'sqlite3')
@@ -38,7 +40,7 @@ STORAGES = ('mcap', 'sqlite3')
 _BATCH = 256  # messages
 _BATCH_SIZE = 2**20  # bytes
 
-_SECOND = 1_000_000_000
+SECOND = 1_000_000_000  # ns
 _MAX_STAMP = 2**33  # s, what still fits into 64 bits of nanoseconds
 
 
@@ -81,7 +83,7 @@ class Reader:
 
         """
         self.path = Path(path)
-        with _readable(self.path):
+        with readable(self.path):
             _refuse_what_is_no_bag(self.path)
             self._bag = rosbag2.Reader(self.path)
             self._bag.open()
@@ -90,13 +92,13 @@ class Reader:
         self.counts = dict.fromkeys(self.topics, 0)
         for item in connections:
             self.counts[item.topic] += item.msgcount
-        self.latched = {item.topic for item in connections if _is_latched(item)}
+        self.latched = {item.topic for item in connections if is_latched(item)}
         custom = self._bag.storage.metadata.custom
         self.about = {str(key): str(value) for key, value in custom.items()} if isinstance(
             custom, dict) else {}
-        self.start = self._bag.start_time / _SECOND
+        self.start = self._bag.start_time / SECOND
         # The end that rosbags names is a nanosecond after the last message.
-        self.duration = max(self._bag.duration - 1, 0) / _SECOND
+        self.duration = max(self._bag.duration - 1, 0) / SECOND
         if not self._bag.message_count:
             self.close()
             raise BagError(f'{self.path}: holds no messages')
@@ -129,9 +131,9 @@ class Reader:
         connections = [item for item in self._bag.connections if item.topic in wanted]
         if not connections:
             return
-        with _readable(self.path):
+        with readable(self.path):
             for item, nanoseconds, data in self._bag.messages(connections):
-                yield Message(item.topic, item.msgtype, nanoseconds / _SECOND, data)
+                yield Message(item.topic, item.msgtype, nanoseconds / SECOND, data)
 
     def close(self) -> None:
         """Close the bag; closing it again does nothing."""
@@ -149,8 +151,9 @@ class Writer:
     """
     Writes a new bag; a context manager.
 
-    Whatever ends the context, the bag is closed complete with what was written so far. Signals
-    that raise KeyboardInterrupt wait while a record is being written.
+    Whatever ends the context, the bag is closed complete with what was written so far; where the
+    disk fails, with what was saved. Signals that raise KeyboardInterrupt wait while a record is
+    being written. A process that is killed leaves what was saved, for `repair`.
     """
 
     def __init__(self, path: str | Path, storage: str = 'mcap',
@@ -186,10 +189,10 @@ class Writer:
         self._pending_size = 0
         self._open = False
         try:
-            with _writable(self.path):
-                self._bag = rosbag2.Writer(
+            with self._writing():
+                self._bag = files.Writer(
                     self.path,
-                    version=rosbag2.Writer.VERSION_LATEST,
+                    version=files.Writer.VERSION_LATEST,
                     storage_plugin=rosbag2.StoragePlugin[storage.upper()],
                 )
                 self._bag.open()
@@ -221,7 +224,7 @@ class Writer:
         store = _typestore(Stores.ROS2_JAZZY)
         if type not in store.fielddefs:
             raise BagError(f'{self.path}: topic {name}: type {type} is unknown to ROS 2 Jazzy')
-        with _writable(self.path):
+        with self._writing():
             self._connections[name] = self._bag.add_connection(
                 name, type, typestore=store, offered_qos_profiles=[_LATCHED if latched else _QOS]
             )
@@ -246,20 +249,62 @@ class Writer:
                 f'least 0 and below {_MAX_STAMP}'
             )
         whole, part = divmod(stamp, 1)
-        nanoseconds = int(whole) * _SECOND + round(part * _SECOND)
+        nanoseconds = int(whole) * SECOND + round(part * SECOND)
         self._pending.append((self._connections[name], nanoseconds, data))
         self._pending_size += len(data)
         if len(self._pending) >= _BATCH or self._pending_size >= _BATCH_SIZE:
-            with _writable(self.path):
+            with self._writing():
                 self._flush()
+
+    def save(self) -> None:
+        """
+        Have all on disk that was written, as far as the system takes care of that.
+
+        Raises
+        ------
+        BagError
+            If the disk fails.
+
+        """
+        if self._open:
+            with self._writing():
+                self._flush()
+                self._bag.save()
 
     def close(self) -> None:
         """Complete the bag; closing it again does nothing."""
         if self._open:
-            with _writable(self.path):
-                self._open = False
+            with self._writing():
                 self._flush()
                 self._bag.close()
+                self._open = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes messages: it has not been closed, nor has the disk failed."""
+        return self._open
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Undisturbed by signals, turn what fails into one clear line, and complete the bag."""
+        with _undisturbed():
+            try:
+                yield
+            except Exception as error:
+                raise BagError(
+                    f'{self.path}: cannot be written: {_reason(error)}{self._salvaged()}'
+                ) from error
+
+    def _salvaged(self) -> str:
+        """Complete the bag as far as it was saved, and say what it holds."""
+        if not self._open:
+            return ''
+        self._open = False
+        self._pending.clear()
+        try:
+            return f'; complete are the {self._bag.salvage()} messages before'
+        except Exception:
+            return f'; to read what it holds: {_repair(self.path)}'
 
     def _flush(self) -> None:
         pending, self._pending, self._pending_size = self._pending, [], 0
@@ -289,7 +334,7 @@ def _typestore(store: Stores) -> Typestore:
     return get_typestore(store)
 
 
-def _is_latched(connection: Connection) -> bool:
+def is_latched(connection: Connection) -> bool:
     extension = connection.ext
     return isinstance(extension, ConnectionExtRosbag2) and any(
         profile.durability is QosDurability.TRANSIENT_LOCAL
@@ -306,6 +351,11 @@ def _refuse_what_is_no_bag(path: Path) -> None:
         raise BagError(f'{path}: is an empty folder; a bag has a metadata.yaml')
     metadata = path / 'metadata.yaml'
     if not metadata.is_file():
+        if any(item.suffix in ('.mcap', '.db3') for item in path.iterdir()):
+            raise BagError(
+                f'{path}: is being recorded still: it has no metadata.yaml'
+                if files.is_being_written(path) else
+                f'{path}: its recording was cut short; to read what it holds: {_repair(path)}')
         raise BagError(
             f'{path}: is not a bag, or its recording was cut short: it has no metadata.yaml'
         )
@@ -334,7 +384,7 @@ def _refuse_cut_database(path: Path) -> None:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
+def readable(path: Path) -> Iterator[None]:
     """Turn whatever a damaged file makes a parser trip over into one clear line."""
     try:
         yield
@@ -343,18 +393,17 @@ def _readable(path: Path) -> Iterator[None]:
     except PermissionError as error:
         raise BagError(f'{path}: cannot be read: {error.strerror}') from error
     except Exception as error:
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise BagError(f'{path}: cannot be read, it is truncated or damaged: {reason}') from error
+        raise BagError(
+            f'{path}: cannot be read, it is truncated or damaged: {_reason(error)}') from error
 
 
-@contextmanager
-def _writable(path: Path) -> Iterator[None]:
-    try:
-        with _undisturbed():
-            yield
-    except Exception as error:
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise BagError(f'{path}: cannot be written: {reason}') from error
+def _reason(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
+def _repair(path: Path) -> str:
+    """Return the command that makes a bag readable whose recording was cut short."""
+    return shlex.join(['recorder', '--repair', str(path)])
 
 
 @contextmanager

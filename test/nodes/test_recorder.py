@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import signal
+import time
 from typing import Any
 
 from mcap.reader import make_reader
@@ -11,8 +12,9 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader as RosbagsReader
+from sensor_msgs.msg import CompressedImage
 from tsmcl_ros import messages
-from tsmcl_ros.bag import Reader
+from tsmcl_ros.bag import Reader, STORAGES
 from tsmcl_ros.nodes.recorder import Recorder
 from tsmcl_ros.nodes.runtime import (
     LATCHED,
@@ -22,7 +24,7 @@ from tsmcl_ros.nodes.runtime import (
     SENSOR_DATA,
     SETTLING,
 )
-from tsmcl_ros.types import Odometry
+from tsmcl_ros.types import BagError, Odometry
 from tsmcl_ros.world import anchor_table
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -106,6 +108,59 @@ def test_a_bag_says_by_which_command_and_parameters_it_was_recorded(
     assert about['command'] == (
         "recorder --ros-args -p output:=bag -p 'exclude:=[/a]'")
     assert '    exclude: ["/a"]\n' in about['recorder']
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_a_killed_recorder_loses_the_last_second_at_most(
+    probe: Any, start: Start, run: Callable[..., tuple[int, str]], tmp_path: Path, storage: str,
+) -> None:
+    talk = probe.talk('/odom', messages.ODOMETRY, RELIABLE)
+    recorder = record(start, f'storage:={storage}')
+    sent: list[tuple[float, bytes]] = []
+
+    def send_one() -> None:
+        sent.append((time.time(), odometry(float(len(sent)))))
+        talk.publish(sent[-1][1])
+        probe.spin(timeout=0.01)
+
+    probe.expect(lambda: talk.get_subscription_count() > 0, 'the recorder')
+    end = time.time() + 2.5
+    while time.time() < end:
+        send_one()
+    recorder.kill()
+    killed = time.time()
+
+    bag = tmp_path / 'bag'
+    with pytest.raises(BagError, match=f'cut short; .*: recorder --repair {bag}'):
+        Reader(bag)
+    code, said = run('nodes.recorder', '--repair', bag)
+    found = recorded(tmp_path, '/odom')
+    assert (code, said) == (0, f'{bag}: repaired, {len(found)} messages of 1 topics\n')
+    assert found == [data for _, data in sent[:len(found)]]
+    assert sent[len(found)][0] > killed - 1
+
+
+def test_on_a_full_disk_a_recorder_ends_with_one_line_and_a_bag_that_is_valid(
+    probe: Any, start: Start, tmp_path: Path,
+) -> None:
+    talk = probe.talk('/image', 'sensor_msgs/msg/CompressedImage', RELIABLE)
+    recorder = start(
+        'nodes.recorder', '--ros-args', '-p', 'output:=bag',
+        within=['prlimit', f'--fsize={3 * 2**20}'])
+    recorder.wait_for('recording to bag')
+    image = serialize_message(CompressedImage(format='png', data=bytes(100_000)))
+    probe.expect(lambda: talk.get_subscription_count() > 0, 'the recorder')
+    for _ in range(100):
+        talk.publish(image)
+        probe.spin(timeout=0.02)
+    assert recorder.wait() == 1
+    *_, last = recorder.output.splitlines()
+    assert last.startswith('recorder: bag: cannot be written: ')
+    assert 'Traceback' not in recorder.output
+    found = recorded(tmp_path, '/image')
+    assert last.endswith(f'; complete are the {len(found)} messages before')
+    assert len(found) > 10
+    assert set(found) == {image}
 
 
 def test_a_bag_is_never_overwritten(start: Start, tmp_path: Path) -> None:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
 import sys
+import time
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.config import build, Config, dump_yaml, param
 from tsmcl_ros.nodes import runtime
-from tsmcl_ros.scripts.cli import command_line
+from tsmcl_ros.repair import repair
+from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import BagError, ConfigError, MessageError
 
 # Time of a replay is its own, and the rest is ROS talking to itself.
 _UNASKED = ('/clock', '/parameter_events', '/rosout')
 _DISCOVERY = 0.1  # s, between two looks for new topics
+_SAVING = 0.5  # s, between two times that all is put on disk
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,9 @@ class Recorder(runtime.Node):
     Recorder: writes a rosbag2 of topics as they come, discovering new ones.
 
     A message's log time is when it arrived: by /clock with use_sim_time, so that a bag of an
-    accelerated simulation plays at the simulation's pace, else by the wall clock.
+    accelerated simulation plays at the simulation's pace, else by the wall clock. All that came
+    is on disk half a second later: `recorder --repair BAG` makes a bag of it if the recording is
+    cut short.
     """
 
     default_name = 'recorder'
@@ -66,20 +73,25 @@ class Recorder(runtime.Node):
     def run(self) -> None:
         """Record until it is time, or a signal comes."""
         self._discover()
+        saved = time.monotonic()
         while not self.spin(self._is_over, _DISCOVERY):
             self._discover()
+            if time.monotonic() - saved >= _SAVING:
+                self._bag.save()
+                saved = time.monotonic()
 
     def close(self) -> None:
-        """Write what has arrived already, and complete the bag."""
-        try:
-            self.drain(quiet=0.05, timeout=2.0)
-            self._write_early(0.0)
-        finally:
-            self._bag.close()
-        self.get_logger().info(
-            f'recorded {sum(self._counts.values())} messages of {len(self._counts)} topics to '
-            f'{self._config.output}'
-        )
+        """Write what has arrived already, and complete the bag, if the disk has not failed."""
+        if self._bag.is_open:
+            try:
+                self.drain(quiet=0.05, timeout=2.0)
+                self._write_early(0.0)
+            finally:
+                self._bag.close()
+            self.get_logger().info(
+                f'recorded {sum(self._counts.values())} messages of {len(self._counts)} topics to '
+                f'{self._config.output}'
+            )
         super().close()
 
     def _is_over(self) -> bool:
@@ -150,8 +162,21 @@ class Recorder(runtime.Node):
 
 
 def main() -> int:
-    """Run the node and return the exit code."""
+    """Run the node, or repair a bag, and return the exit code."""
+    if '--repair' in sys.argv[1:]:
+        return run_script(_repair, None)
     return runtime.main(Recorder)
+
+
+def _repair(arguments: Sequence[str] | None) -> None:
+    parser = argparse.ArgumentParser(
+        prog=Recorder.default_name,
+        description='Complete a bag whose recording was cut short, in its place.')
+    parser.add_argument('--repair', metavar='BAG', required=True, help='folder of the bag')
+    bag = parser.parse_args(arguments).repair
+    repaired, messages, topics = repair(bag)
+    done = 'repaired' if repaired else 'is complete already'
+    print(f'{bag}: {done}, {messages} messages of {topics} topics')
 
 
 if __name__ == '__main__':
