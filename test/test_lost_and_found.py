@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tsmcl_ros.config import load_yaml
+from tsmcl_ros.evaluation.metrics import chi_squared_quantile, normalized_error_squared
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.health import LOST, OK
-from tsmcl_ros.world import make_world
+from tsmcl_ros.world import anchor_table, AnchorConfig, lay_out, make_world
 
 pytestmark = pytest.mark.accuracy
 
@@ -99,6 +101,25 @@ def test_who_lies_about_its_position_is_suspected_and_nobody_else(method):
             assert set(suspects) <= {liar}
             names[vehicle] += suspects == [liar]
     assert (names[hears >= 10] > 0).all() and (hears >= 10).any()
+
+
+@pytest.mark.parametrize(('kind', 'method'), [
+    ('ranges', 'ts_mcl'), ('ranges', 'r_mcl'), ('ranges', 'cooperative'), ('ranges', 'ekf'),
+    ('range-free', 'ts_mcl')])
+def test_anchors_that_are_all_replaced_let_nobody_get_lost(kind, method):
+    world, localizer = world_and_localizer(kind, method=method)
+    ok, consistent = [], []
+    for number in range(MOVED + 20):
+        if number == MOVED:
+            others = anchor_table(lay_out(AnchorConfig(), 2, np.random.default_rng(8)))
+            world.anchors = replace(others, sender=others.sender + 100)
+        epoch = world.step()
+        estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+        ok.append(localizer.status == OK)
+        consistent.append(normalized_error_squared(
+            estimate.mean - epoch.position, estimate.covariance) < chi_squared_quantile(0.95, 2))
+    assert np.mean(ok[MOVED:]) > 0.9
+    assert np.mean(consistent[MOVED:]) > 0.9
 
 
 def test_who_asks_to_start_anew_suspects_nobody():

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.config import adjust, build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
+from tsmcl_ros.model.absence import Absences
 from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
 from tsmcl_ros.model.health import HealthConfig, HealthMonitor, LOST, OK, STALE
@@ -208,6 +209,8 @@ class Localizer:
         self._priors: list[Prior] = []
         self._hearsay = Hearsay(self.vehicles, self.config.dimension)
         self._monitor = HealthMonitor(self.health_config, self.vehicles)
+        self._absences = Absences(
+            self.health_config, self.evidence_config.miss_rate, self.vehicles)
         self._passed = np.full(self.vehicles, -np.inf)
         self._heard_at = np.full(self.vehicles, -np.inf)
         self._reinitializations = np.zeros(self.vehicles, int)
@@ -375,6 +378,7 @@ class Localizer:
         self._outage.forget(vehicle)
         self._hearsay.forget(vehicle)
         self._monitor.forget(vehicle)
+        self._absences.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
 
@@ -444,10 +448,11 @@ class Localizer:
             self._hearsay.forget(prior.vehicle)
             self._outage.forget(prior.vehicle)
             self._monitor.forget(prior.vehicle)
+            self._absences.forget(prior.vehicle)
         self._priors = []
         claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
-        self._judge(observation)
+        observation = self._judge(observation)
         estimate = self._oriented(self._method.update(observation))
         self.channel.calibrate(observation, estimate)
         if self.evidence_config.echo_guard > 0 and (
@@ -461,12 +466,20 @@ class Localizer:
         self._reinitializations += estimate.reinitialized
         return estimate
 
-    def _judge(self, observation: Observation) -> None:
-        """Hold what was heard against the prediction, before it becomes part of the belief."""
+    def _judge(self, observation: Observation) -> Observation:
+        """
+        Hold what was heard against the prediction, before it becomes part of the belief.
+
+        Returned is the observation with what the silence in it is worth.
+        """
         assert self._method is not None
         mean, covariance = self._method.moments()
-        self._monitor.judge(deviations(
-            self.channel, observation, mean, covariance + self._hearsay.covariance))
+        found = deviations(
+            self.channel, observation, mean, covariance + self._hearsay.covariance)
+        self._absences.learn(found, observation)
+        self._monitor.judge(found, self._absences.usual(found))
+        return self._absences.weigh(
+            observation, self._monitor.lost > 0.5, self._anchors.met(observation))
 
     def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None
                         ) -> Estimate:

@@ -61,6 +61,8 @@ class Silence:
         [m].
     max_range : (V, S) float32
         Radio range [m], NaN where unknown.
+    miss_rate : (V, S) float32 or None
+        How probable it is that they are not heard however near; None for never.
 
     """
 
@@ -68,6 +70,13 @@ class Silence:
     sender: Array
     position: Array
     max_range: Array
+    miss_rate: Array | None = None
+
+    def of(self, index: Array) -> Silence:
+        """Return what these vehicles did not hear, padding and all."""
+        return Silence(
+            self.known[index], self.sender[index], self.position[index], self.max_range[index],
+            None if self.miss_rate is None else self.miss_rate[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +235,7 @@ class Observation:
         """Return what these vehicles heard, padding, silence and all."""
         silent = self.silent
         if silent is not None:
-            silent = Silence(silent.known[index], silent.sender[index], silent.position[index],
-                             silent.max_range[index])
+            silent = silent.of(index)
         return replace(self, silent=silent, **{
             name: getattr(self, name)[index] for name in _ROW_FIELDS})
 

@@ -55,7 +55,8 @@ def test_a_sound_measurement_raises_none() -> None:
 def test_who_has_no_measurement_keeps_the_belief() -> None:
     beliefs = line(3.0, 2.0, 0.0)
     beliefs.measure(~YES, seen(beliefs), np.array([math.nan]), np.array([1.0]))
-    beliefs.bound(~YES, seen(beliefs), np.array([math.inf]), 1, np.array([1.0]))
+    beliefs.bound(
+        ~YES, seen(beliefs), np.array([math.inf]), 1, np.array([1.0]), np.zeros(1))
     assert beliefs.mean[0, 0] == 3.0
     assert beliefs.covariance[0, 0, 0] == pytest.approx(2.0)
     assert beliefs.fit[0] == beliefs.log_likelihood[0] == beliefs.terms[0] == 0
@@ -64,7 +65,7 @@ def test_who_has_no_measurement_keeps_the_belief() -> None:
 @pytest.mark.parametrize('side', [1, -1])
 def test_a_bound_keeps_the_belief_on_its_side(side: int) -> None:
     beliefs = line(0.0, 1.0, 0.0)
-    beliefs.bound(YES, seen(beliefs), np.array([0.0]), side, np.array([1e-12]))
+    beliefs.bound(YES, seen(beliefs), np.array([0.0]), side, np.array([1e-12]), np.zeros(1))
     assert beliefs.mean[0, 0] == pytest.approx(-side * math.sqrt(2 / math.pi), rel=1e-4)
     assert beliefs.log_likelihood[0] == pytest.approx(math.log(0.5), rel=1e-4)
 

@@ -296,6 +296,22 @@ def test_a_beacon_that_tells_its_range_is_scored_by_it() -> None:
     np.testing.assert_allclose(score, special.log_expit([50.0, -50.0]), atol=1e-5)
 
 
+@pytest.mark.parametrize('settings', [
+    {'radio_range': 100.0}, {'radio_model': 'lognormal', 'sensitivity': -80.0}])
+def test_silence_says_no_more_than_how_often_beacons_are_lost_allows(settings) -> None:
+    radio = Channel(RadioConfig(**settings))
+    observation = unheard(listen((900.0, 0.0)), (0.0, 0.0))
+    surely = likelihood(radio, unheard(observation, (0.0, 0.0)), at([1, 60, 100, 150]))
+    assert observation.silent is not None
+    rate = np.full((1, 1), 0.02, np.float32)
+    now = replace(observation, silent=replace(observation.silent, miss_rate=rate))
+    heard = likelihood(radio, listen((900.0, 0.0)), at([1, 60, 100, 150]))
+    outside = np.exp((surely - heard).astype(float))
+    np.testing.assert_allclose(
+        np.exp((likelihood(radio, now, at([1, 60, 100, 150])) - heard).astype(float)),
+        outside + 0.02 * (1 - outside), rtol=0.01)
+
+
 def test_a_silent_anchor_that_tells_its_range_is_scored_by_it() -> None:
     observation = unheard(listen(ORIGIN), ORIGIN, max_range=30.0)
     np.testing.assert_allclose(
@@ -562,7 +578,7 @@ def test_a_fleet_is_scored_as_its_vehicles_are(
     for vehicle in range(3):
         # Alone, without any padding.
         known = observation.silent.known[vehicle]
-        silent = Silence(**{name: values[None, vehicle, known]
+        silent = Silence(**{name: None if values is None else values[None, vehicle, known]
                             for name, values in vars(observation.silent).items()})
         alone = radio.evidence(replace(observation.vehicle(vehicle), silent=silent))
         np.testing.assert_allclose(

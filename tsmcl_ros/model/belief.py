@@ -144,15 +144,25 @@ class Beliefs:
         self._measured += used
         self._doubt += used & (trust < 0.5)
 
-    def bound(self, used: Array, sight: Sight, limit: Array, side: int, variance: Array) -> None:
+    def bound(self, used: Array, sight: Sight, limit: Array, side: int, variance: Array,
+              missed: Array) -> None:
         """
         Take in that a quantity of each lies below (side 1) or above (side -1) a limit.
 
-        The limit is soft: a Gaussian of this variance (V,).
+        The limit is soft: a Gaussian of this variance (V,). With a probability `missed` (V,) it
+        lies anywhere.
         """
         excess = np.where(used, side * (limit - sight.expected), np.inf)
-        self.mean, self.covariance, fit = gaussian.update_by_bound(
+        mean, covariance, fit = gaussian.update_by_bound(
             self.mean, self.covariance, -side * sight.gradient, excess, variance + sight.variance)
+        if (used & (missed > 0)).any():
+            bounded = (1 - missed) * np.exp(fit)
+            fit = np.where(missed > 0, np.log(np.maximum(bounded + missed, 1e-300)), fit)
+            trust = np.where(used, bounded / np.maximum(bounded + missed, 1e-300), 1)
+            trust = np.where(missed > 0, trust, 1)
+            mean, covariance = gaussian.mixed(
+                trust, (mean, covariance), (self.mean, self.covariance))
+        self.mean, self.covariance = mean, covariance
         self._count(used, fit, fit)
 
     def keep(self, which: Array, mean: Array, covariance: Array) -> None:

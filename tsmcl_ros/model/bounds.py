@@ -34,6 +34,8 @@ class Bounds:
         Whether it is about anchors that were not heard.
     logarithmic : bool
         Whether edges are soft on a logarithmic scale of distance, as under shadowing.
+    missed : (V, B) float
+        How probable it is that nothing is heard within the limit either.
 
     """
 
@@ -46,6 +48,7 @@ class Bounds:
     side: Array
     silent: Array
     logarithmic: bool
+    missed: Array
 
 
 def bounds(channel: Channel, observation: Observation, measured: Array) -> Bounds:
@@ -66,17 +69,19 @@ def bounds(channel: Channel, observation: Observation, measured: Array) -> Bound
     heard = observation.heard & (radius > 0) & ~measured & channel.switches.use_heard
     relayed = heard & (observation.hops == 2)
     said = observation.sender, observation.position, observation.covariance
-    groups = [(*said, heard, np.where(relayed, 2 * radius, radius), 1, False),
-              (*said, relayed, radius, -1, False)]
+    never = np.zeros(heard.shape)
+    groups = [(*said, heard, np.where(relayed, 2 * radius, radius), never, 1, False),
+              (*said, relayed, radius, never, -1, False)]
     silent = observation.silent
     if silent is not None and channel.switches.silence != 'none':
         radius = channel.radius(silent.max_range, silent.sender)
         exact = np.zeros((*silent.position.shape, silent.position.shape[2]))
         used = silent.known & (radius > 0) & observation.heard.any(axis=1, keepdims=True)
-        groups.append((silent.sender, silent.position, exact, used, radius, -1, True))
+        missed = np.zeros(used.shape) if silent.miss_rate is None else silent.miss_rate
+        groups.append((silent.sender, silent.position, exact, used, radius, missed, -1, True))
     *columns, side, silence = zip(
         *([group for group in groups if group[3].any()] or groups[:1]), strict=True)
-    sender, position, covariance, used, radius = (
+    sender, position, covariance, used, radius, missed = (
         np.concatenate(parts, axis=1) for parts in columns)
     width = [part.shape[1] for part in columns[0]]
     limit = np.where(used, radius, 1.0)
@@ -86,4 +91,4 @@ def bounds(channel: Channel, observation: Observation, measured: Array) -> Bound
     else:
         std = _LOGISTIC_STD * channel.softness(limit)
     return Bounds(sender, position, covariance, used, limit, std, np.repeat(side, width),
-                  np.repeat(silence, width), logarithmic)
+                  np.repeat(silence, width), logarithmic, missed)

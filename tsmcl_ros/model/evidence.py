@@ -18,12 +18,14 @@ import numpy as np
 import scipy
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.model.particles import chunks
-from tsmcl_ros.types import Array
+from tsmcl_ros.types import Array, Silence
 
 # Numbers of at most 2 whose product a float32 holds.
 _FACTORS = 100
 # A radius that everything is inside of [m].
 ENDLESS = 1e30
+# The logarithm of no probability at all, with which one can still reckon.
+NEVER = -1e9
 # What is nearer than this counts as this far, as path loss has no bound [m].
 _NEAREST = 1e-3
 
@@ -148,13 +150,19 @@ def flat(column: Array, vehicle: Array | slice) -> Array:
     return rows.take(vehicle, axis=-1, mode='clip')[..., None, :, :]
 
 
+def _flat_or_none(column: Array | None, vehicle: Array | slice) -> Array | None:
+    return None if column is None else flat(column, vehicle)
+
+
 @dataclass(frozen=True, eq=False)
 class DiskBoundary:
     """
     Inside or outside of soft-edged disks: heard, silent and relayed beacons alike.
 
     log p = -log(1 + exp((d - R) / s)), with a width s > 0 for heard and < 0 for silent; a relayed
-    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1); `steepness` is 1 / s.
+    beacon (R < d <= 2R) is one of each. Columns are (V, E, 1); `steepness` is 1 / s. Where beacons
+    get lost anyway with a probability m, of which `missed` is the logarithm, p becomes
+    p + m (1 - p); it is None where none does.
     """
 
     measures: ClassVar[bool] = False
@@ -162,6 +170,7 @@ class DiskBoundary:
     references: References
     radius: Array
     steepness: Array
+    missed: Array | None = None
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
@@ -173,12 +182,15 @@ class DiskBoundary:
                 1 + steepness * steepness * variance / np.float32(1.702 ** 2))
         distance -= self.radius
         distance *= steepness
-        return -_softplus_sum(distance)
+        if self.missed is None:
+            return -_softplus_sum(distance)
+        return np.asarray(_softplus_sum(distance + self.missed) - _softplus_sum(distance))
 
     def at(self, vehicle: Array | slice) -> DiskBoundary:
         """Return the factor for other points: see `Factor`."""
-        return DiskBoundary(self.references.at(vehicle), *(
-            flat(column, vehicle) for column in (self.radius, self.steepness)))
+        return DiskBoundary(
+            self.references.at(vehicle), flat(self.radius, vehicle),
+            flat(self.steepness, vehicle), _flat_or_none(self.missed, vehicle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +199,7 @@ class ShadowedBoundary:
     Heard or not under log-normal shadowing.
 
     p = Phi(side 10 n log10(R / d) / sigma_db), with R where the mean rssi meets the sensitivity.
-    Columns are (V, E, 1).
+    Columns are (V, E, 1); for `missed` see `DiskBoundary`.
     """
 
     measures: ClassVar[bool] = False
@@ -196,6 +208,7 @@ class ShadowedBoundary:
     radius: Array
     side: Array
     slope: Array
+    missed: Array | None = None
 
     def log_likelihood(self, points: Array) -> Array:
         """Return (V, P): see `Factor`."""
@@ -204,12 +217,17 @@ class ShadowedBoundary:
         excess = self.side * self.slope * np.log10(self.radius / distance)
         if variance is not None:
             excess = excess / np.sqrt(_power_variance(self.slope, variance, distance))
-        return np.asarray(scipy.special.log_ndtr(excess).sum(axis=1))
+        log_likelihood = scipy.special.log_ndtr(excess)
+        if self.missed is not None:
+            log_likelihood = np.logaddexp(
+                log_likelihood, self.missed + scipy.special.log_ndtr(-excess))
+        return np.asarray(log_likelihood.sum(axis=1))
 
     def at(self, vehicle: Array | slice) -> ShadowedBoundary:
         """Return the factor for other points: see `Factor`."""
-        return ShadowedBoundary(self.references.at(vehicle), *(
-            flat(column, vehicle) for column in (self.radius, self.side, self.slope)))
+        return ShadowedBoundary(
+            self.references.at(vehicle), flat(self.radius, vehicle), flat(self.side, vehicle),
+            flat(self.slope, vehicle), _flat_or_none(self.missed, vehicle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +346,14 @@ def column(values: Array) -> Array:
     One reference's values lie together in memory, as `flat` takes them.
     """
     return np.asarray(values, np.float32, order='F')[:, :, None]
+
+
+def log_of_rate(silent: Silence) -> Array:
+    """Return ln (V, S) of how probable it is that anchors are missed however near they are."""
+    if silent.miss_rate is None:
+        return np.full(silent.known.shape, NEVER)
+    return np.log(silent.miss_rate, out=np.full(silent.known.shape, NEVER),
+                  where=silent.miss_rate > 0)
 
 
 def _power_variance(slope: Array, variance: Array, distance: Array) -> Array:

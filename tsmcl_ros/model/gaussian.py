@@ -161,6 +161,17 @@ def update(mean: Array, covariance: Array, gradient: Array, residual: Array, var
             trust * updated + (1 - trust) * covariance + spread * outer)
 
 
+def mixed(trust: Array, first: tuple[Array, Array], second: tuple[Array, Array]
+          ) -> tuple[Array, Array]:
+    """Return mean (V, n) and covariance (V, n, n) of two beliefs, the first with a trust (V,)."""
+    apart = first[0] - second[0]
+    trust = trust[:, None]
+    spread = (trust * (1 - trust) * apart)[:, :, None] * apart[:, None, :]
+    share = trust[:, :, None]
+    return (second[0] + trust * apart,
+            share * first[1] + (1 - share) * second[1] + spread)
+
+
 def update_by_bound(mean: Array, covariance: Array, gradient: Array, excess: Array,
                     variance: Array) -> tuple[Array, Array, Array]:
     """

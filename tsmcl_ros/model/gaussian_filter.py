@@ -154,7 +154,7 @@ class GaussianFilter:
             if bound.logarithmic:
                 sight = sight.on_log_scale()
             self.beliefs.bound(used[:, row], sight, bound.limit[:, row], int(bound.side[row]),
-                               bound.std[:, row] ** 2)
+                               bound.std[:, row] ** 2, bound.missed[:, row])
 
     def _lost(self, known: Array) -> Array:
         """Return which vehicles (V,) bool are not where they are believed to be."""

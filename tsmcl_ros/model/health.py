@@ -22,7 +22,7 @@ from tsmcl_ros.types import Array, PADDED
 OK, STALE, LOST = 0, 1, 2
 
 # Of what a lost vehicle hears, and of what an unsound sender says, half contradicts by chance.
-_BY_CHANCE = 0.5
+BY_CHANCE = 0.5
 # Nobody is surer than this of a vehicle being lost, lest it take long to see it found.
 _SUREST = math.log(1e3)
 # What is held against a sender fades, lest one that is never met again stays a suspect.
@@ -73,8 +73,8 @@ class HealthMonitor:
         self._pair = np.zeros(0, np.int64)
         self._odds = np.zeros(0)
         share = config.contradiction_rate
-        self._for, self._against = (math.log(_BY_CHANCE / share),
-                                    math.log(_BY_CHANCE / (1 - share)))
+        self._for, self._against = (math.log(BY_CHANCE / share),
+                                    math.log(BY_CHANCE / (1 - share)))
 
     def forget(self, vehicle: Array | int) -> None:
         """Begin again with some vehicles, whose beliefs are replaced by what somebody says."""
@@ -88,9 +88,13 @@ class HealthMonitor:
         self.lost[vehicle] = 1 - 1 / (1 + math.exp(_SUREST))
         self._drop(vehicle[self._pair >> _ID_BITS])
 
-    def judge(self, deviations: Deviations) -> None:
-        """Learn from how an epoch's beacons agree with the prediction."""
-        suspected = self.suspected(deviations.sender)
+    def judge(self, deviations: Deviations, usual: Array | bool = False) -> None:
+        """
+        Learn from how an epoch's beacons agree with the prediction.
+
+        What is usual, (V, R) bool, does not count against a vehicle, but against the sender.
+        """
+        suspected = self.suspected(deviations.sender) | usual
         contradicts = deviations.said & (deviations.deviation > self.config.contradiction)
         # The silence of an anchor is no news unless it was expected to be heard.
         counts = deviations.said & ~(deviations.silent & ~contradicts)

@@ -14,6 +14,8 @@ from tsmcl_ros.model.evidence import (
     ENDLESS,
     Evidence,
     Factor,
+    log_of_rate,
+    NEVER,
     Power,
     References,
     ShadowedBoundary,
@@ -91,6 +93,9 @@ class EvidenceConfig(Config):
     silence: str = param(
         'map', 'an anchor not heard is far: never, if heard before, if in the anchor map',
         choices=('none', 'memory', 'map'))
+    miss_rate: float = param(
+        0.0, 'share of beacons that get lost however near their anchor is; where more are missed '
+        'than that, silence says less by itself', low=0.0, high=0.9)
     use_rssi: bool = param(
         True, 'rssi counts (lognormal model, or a disk radio that measures it)', live=True)
     use_range: bool = param(True, 'measured ranges count', live=True)
@@ -493,30 +498,32 @@ class Channel:
         """Gather heard, relayed and silent beacons into one factor, None if there are none."""
         relayed = bounded & (observation.hops == 2)
         inside, outside = np.ones(bounded.shape), -np.ones(bounded.shape)
+        never = np.full(bounded.shape, NEVER)
         said = observation.sender, observation.position, observation.covariance
-        groups = [(*said, bounded, np.where(relayed, 2 * radius, radius), inside),
-                  (*said, relayed, radius, outside)]
+        groups = [(*said, bounded, np.where(relayed, 2 * radius, radius), inside, never),
+                  (*said, relayed, radius, outside, never)]
         silent = observation.silent
         if silent is not None and self.switches.silence != 'none':
             reach = self.radius(silent.max_range, silent.sender)
             exact = np.zeros((*silent.position.shape, silent.position.shape[-1]), np.float32)
             groups.append((silent.sender, silent.position, exact,
                            silent.known & (reach > 0) & heard[:, None], reach,
-                           -np.ones(reach.shape)))
+                           -np.ones(reach.shape), log_of_rate(silent)))
         groups = [group for group in groups if group[3].any()]
         if not groups:
             return None
-        sender, position, covariance, used, reach, side = _packed(
+        sender, position, covariance, used, reach, side, missed = _packed(
             [np.concatenate(parts, axis=1) for parts in zip(*groups, strict=True)])
         references = References.lay_out(position, covariance)
         # A padded column has an endless radius and stands inside of it: it scores 0.
         softness = self.softness(np.where(used, reach, 50))
         reach = column(np.where(used, reach, ENDLESS))
         side = np.where(used, side, 1)
+        lost = column(missed) if (used & (missed > NEVER)).any() else None
         if self.radio.radio_model == 'lognormal':
             return ShadowedBoundary(
-                references, reach, column(side), column(self.path_loss(sender).slope))
-        return DiskBoundary(references, reach, column(side / softness))
+                references, reach, column(side), column(self.path_loss(sender).slope), lost)
+        return DiskBoundary(references, reach, column(side / softness), lost)
 
     def _reach(self, observation: Observation, ranged: Array, powered: Array, bounded: Array,
                radius: Array) -> Reach:

@@ -172,6 +172,10 @@ class KnownAnchors:
             known=np.take_along_axis(silent, order, axis=1), sender=anchors.identity[order],
             position=anchors.position[order], max_range=anchors.max_range[order]))
 
+    def met(self, observation: Observation) -> Array:
+        """Return how many of the anchors that it knows each vehicle (V,) hears."""
+        return np.asarray((self.known & self._heard(observation)).sum(axis=1))
+
     def _heard(self, observation: Observation) -> Array:
         """Return which anchors (V, A) bool each vehicle heard, directly or relayed."""
         index, there = self.table.find(observation.sender)

@@ -1,0 +1,140 @@
+"""
+How much the silence of anchors says, which may be out of order, gone, or just not received.
+
+An anchor in range that is not heard is no proof that it is far: beacons get lost, and anchors are
+switched off, carried away or replaced. A silence that contradicts where a vehicle is, while what
+it hears confirms that, counts as missed; and the more often an anchor was missed, the less its
+silence says, until it is heard again. So a map of anchors of which none is left holds no vehicle
+hostage. As long as nothing is missed, silence says all that the radio model makes of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+import numpy as np
+from tsmcl_ros.model.consistency import Deviations
+from tsmcl_ros.model.health import BY_CHANCE, HealthConfig
+from tsmcl_ros.types import ANCHOR, Array, Observation
+
+# Epochs of hearing an anchor that are taken for granted when it is missed for the first time.
+_GRANTED = 20.0
+# What is left of the times that an anchor was missed whenever it is heard, and the most of them.
+_FORGIVEN, _MOST = 0.9, 40.0
+_FORGOTTEN = 0.02
+_MISSING = 0.5  # times missed, from which on an anchor counts as missing
+# What is missed more often is missed for a reason that lasts, and so no news each time.
+_LASTING = 0.1
+# Whoever hears none of the anchors that it knows, but others, has a map that no longer holds.
+_STRANGE = 0.5
+# Silence says little to a vehicle that does not know its place, as it may have been misled by it.
+_LOST_RATE = 0.1
+_ID_BITS = 32
+
+
+class Absences:
+    """
+    Keeps count of the anchors that V vehicles should hear and do not.
+
+    Parameters
+    ----------
+    config : HealthConfig
+        When a silence contradicts.
+    miss_rate : float
+        Share of beacons that get lost however near their sender is.
+    vehicles : int
+        V.
+
+    """
+
+    def __init__(self, config: HealthConfig, miss_rate: float, vehicles: int):
+        self.config = config
+        self.miss_rate = miss_rate
+        self._vehicle = np.arange(vehicles)[:, None]
+        # Pairs of a vehicle and an anchor, increasing, and how often it was missed of late.
+        self._pair = np.zeros(0, np.int64)
+        self._missed = np.zeros(0)
+
+    def forget(self, vehicle: int) -> None:
+        """Hold nothing against the anchors that one vehicle misses."""
+        self._keep(self._pair >> _ID_BITS != vehicle)
+
+    def learn(self, deviations: Deviations, observation: Observation) -> None:
+        """Learn from how an epoch's silence agrees with the prediction, and who was heard."""
+        if observation.silent is None and not len(self._pair):
+            return
+        contradicts = deviations.said & (deviations.deviation > self.config.contradiction)
+        loud = deviations.said & ~deviations.silent
+        missed = contradicts & deviations.silent & loud.any(axis=1, keepdims=True)
+        if not len(self._pair) and not missed.any():
+            return
+        heard = np.where(observation.heard, (self._vehicle << _ID_BITS) + observation.sender, -1)
+        self._missed = np.where(
+            np.isin(self._pair, heard), _FORGIVEN * self._missed, self._missed)
+        vehicle, row = np.nonzero(missed)
+        pair = (vehicle << _ID_BITS) + deviations.sender[vehicle, row]
+        weight = self._in_place(loud & ~contradicts, loud & contradicts)[vehicle]
+        self._pair, place = np.unique(
+            np.concatenate([self._pair, pair]), return_inverse=True)
+        self._missed = np.minimum(_MOST, np.bincount(
+            place.reshape(-1), np.concatenate([self._missed, weight]), len(self._pair)))
+        self._keep(self._missed > _FORGOTTEN)
+
+    def usual(self, deviations: Deviations) -> Array:
+        """Return which of what was said (V, R) bool is a silence that contradicts often."""
+        if not len(self._pair) and self.miss_rate <= self.config.contradiction_rate:
+            return np.zeros(deviations.said.shape, bool)
+        return np.asarray(deviations.silent & (
+            self._rate(deviations.sender) > self.config.contradiction_rate))
+
+    def weigh(self, observation: Observation, lost: Array, met: Array) -> Observation:
+        """
+        Return the observation with what its silence is worth.
+
+        Parameters
+        ----------
+        observation : Observation
+            Of V vehicles.
+        lost : (V,) bool
+            Who does not know its place.
+        met : (V,) int
+            How many of the anchors that it knows of a vehicle hears.
+
+        """
+        silent, anchors = observation.silent, observation.kind == ANCHOR
+        strange = (met == 0) & (observation.heard & anchors).any(axis=1)
+        if silent is None or not (len(self._pair) or self.miss_rate or (lost | strange).any()):
+            return observation
+        outdated = np.where(strange, _STRANGE, self._outdated(met))
+        rate = np.maximum(self._rate(silent.sender), outdated[:, None])
+        known = silent.known & (rate <= max(_LASTING, self.miss_rate))
+        rate = np.where(lost[:, None], np.maximum(rate, _LOST_RATE), rate)
+        return replace(observation, silent=replace(
+            silent, known=known, miss_rate=rate.astype(np.float32)))
+
+    def _rate(self, sender: Array) -> Array:
+        """Return how often the beacons of senders, ids (V, S), are missed."""
+        missed = np.zeros(sender.shape)
+        if len(self._pair):
+            pair = (self._vehicle << _ID_BITS) + sender
+            index = np.minimum(np.searchsorted(self._pair, pair), len(self._pair) - 1)
+            missed = np.where(self._pair[index] == pair, self._missed[index], 0)
+        return np.asarray((_GRANTED * self.miss_rate + missed) / (_GRANTED + missed))
+
+    def _outdated(self, met: Array) -> Array:
+        """Return how probable it is that what a vehicle knows of an anchor does not hold (V,)."""
+        vehicle = self._pair[self._missed >= _MISSING] >> _ID_BITS
+        missing = np.bincount(vehicle, minlength=len(met))
+        # One alone may be broken.
+        return np.asarray(np.maximum(missing - 1, 0) / np.maximum(missing + met, 1))
+
+    def _in_place(self, agree: Array, contradict: Array) -> Array:
+        """Return how probable it is by what each heard (V, R) that vehicles are in place (V,)."""
+        share = self.config.contradiction_rate
+        odds = (agree.sum(axis=1) * math.log((1 - share) / BY_CHANCE)
+                + contradict.sum(axis=1) * math.log(share / BY_CHANCE))
+        return np.asarray(1 / (1 + np.exp(-odds)))
+
+    def _keep(self, which: Array) -> None:
+        self._pair, self._missed = self._pair[which], self._missed[which]
