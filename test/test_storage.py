@@ -87,7 +87,7 @@ def test_mcaps_own_reader_counts_what_the_error_says(tmp_path, limit):
 def test_where_an_index_has_no_room_the_file_has_an_end_at_least(tmp_path, limit):
     bag = Writer(tmp_path / 'bag')
     bag.topic('/clock', messages.CLOCK)
-    for stamp in range(10):
+    for stamp in range(1, 11):
         bag.write('/clock', float(stamp), messages.encode_clock(float(stamp)))
         bag.save()
     [file] = (tmp_path / 'bag').glob('*.mcap')

@@ -116,7 +116,8 @@ def _messages(source: Path) -> Iterator[tuple[Connection, int, bytes]]:
         mcap = McapReader(cast(Any, SimpleNamespace(open=lambda _: io.BufferedReader(view))))
         mcap.open()
         with closing(mcap):
-            yield from mcap.messages_scan(mcap.connections)
+            # From before zero, as rosbags 0.11.0 skips chunks that end where it is to begin.
+            yield from mcap.messages_scan(mcap.connections, -1)
         return
     # SQLite undoes by its journal what was not done, whenever somebody looks.
     with closing(sqlite3.connect(source)) as connection:
