@@ -8,14 +8,18 @@ bag ends with what was saved before.
 
 from __future__ import annotations
 
+from array import array
 from collections import defaultdict, deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+import errno
 import fcntl
 import io
+from itertools import pairwise
 import os
 from pathlib import Path
 import sqlite3
 import struct
+from tempfile import TemporaryFile
 from typing import Any, cast, NamedTuple
 
 from rosbags import rosbag2
@@ -52,11 +56,48 @@ class _Mark(NamedTuple):
     extent: _Extent
 
 
+class _Index:
+    """
+    The records of an index, in a file without a name, as recordings have no end.
+
+    What is saved twice a second has an index that would take megabytes of memory in an hour.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = TemporaryFile(buffering=0, dir=folder)
+        self._ends = array('Q', [0])
+
+    def append(self, record: io.BytesIO) -> None:
+        self._file.seek(self._ends[-1])
+        if self._file.write(record.getbuffer()) != record.tell():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._ends.append(self._ends[-1] + record.tell())
+
+    def cut(self, length: int) -> None:
+        """Forget all but the first records."""
+        del self._ends[length + 1:]
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
+
+    def __iter__(self) -> Iterator[io.BytesIO]:
+        for begin, end in pairwise(self._ends):
+            self._file.seek(begin)
+            record = io.BytesIO()
+            record.write(self._file.read(end - begin))
+            yield record
+
+
 class Mcap(McapWriter):
     """An mcap file that is saved by chunks."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
+        self._index = _Index(path)
+        self.chunks = cast(list[io.BytesIO], self._index)
         self._marks: deque[_Mark] = deque(maxlen=2)
         self._is_bare = False
         self._mark()
@@ -78,7 +119,7 @@ class Mcap(McapWriter):
         self.bio.raw.close()
         os.truncate(self.path, mark.size)
         self.bio = self.path.open('ab')
-        del self.chunks[mark.chunks:]
+        self._index.cut(mark.chunks)
         self.chunk = PendingChunk(_NEVER, 0, io.BytesIO(), defaultdict(list))
         counts, self.message_start_time, self.message_end_time = mark.extent
         self.channel_stats |= dict.fromkeys(self.channel_stats, 0) | counts
@@ -93,15 +134,16 @@ class Mcap(McapWriter):
 
     def close(self, version: int, metadata: str) -> None:
         """Complete the file."""
-        if not self._is_bare:
+        if self._is_bare:
+            self.bio.write(BARE_END)
+            self.bio.close()
+        else:
             super().close(version, metadata)
-            return
-        self.bio.write(BARE_END)
-        self.bio.close()
+        self._index.close()
 
     def _mark(self) -> None:
         self.bio.flush()
-        self._marks.append(_Mark(self.bio.tell(), len(self.chunks), _Extent(
+        self._marks.append(_Mark(self.bio.tell(), len(self._index), _Extent(
             dict(self.channel_stats), self.message_start_time, self.message_end_time)))
 
 

@@ -39,6 +39,9 @@ class SimulatorConfig(Config):
     cooperation: bool = param(
         False, 'vehicles broadcast the poses that their localizers publish, as references of kind '
         'vehicle for others')
+    lockstep: bool = param(
+        False, "wait for the vehicles' poses before each period, as with cooperation: a "
+        'simulation then goes as fast as they are localized, and loses none of their epochs')
     pose_timeout: float = param(
         10.0, 'longest wait for the pose of a vehicle that hears beacons, in real time', unit='s',
         above=0, high=60)
@@ -58,9 +61,9 @@ class Simulator(runtime.Node):
     Simulated world: moves vehicles and passes on to them the beacons that anchors transmit.
 
     Publishes /clock and for each vehicle ground_truth, beacons and odom. Starts when it knows an
-    /anchor_map. With cooperation it listens to each vehicle's pose, and passes that on too. A
-    vehicle that asks for another beacon_period hears no anchor until it is over: its beacons come
-    empty, so that nobody waits for them.
+    /anchor_map. In lockstep it listens to each vehicle's pose; with cooperation it passes that on,
+    too. A vehicle that asks for another beacon_period hears no anchor until it is over: its
+    beacons come empty, so that nobody waits for them.
     """
 
     default_name = 'simulator'
@@ -105,7 +108,8 @@ class Simulator(runtime.Node):
             for i in range(world.vehicles)
         ), strict=True)
 
-        if self._config.cooperation:
+        self._awaits_poses = self._config.cooperation or self._config.lockstep
+        if self._awaits_poses:
             for i in range(world.vehicles):
                 self.listen(f'/veh_{i}/pose', messages.POSE, partial(self._reports.take, i),
                             runtime.LATCHED_INPUT)
@@ -151,8 +155,8 @@ class Simulator(runtime.Node):
         """
         Let one period pass, in step with the anchors, which transmit when the clock says so.
 
-        Waiting for them, and for the poses of the last period where vehicles cooperate, keeps a
-        simulation the same at any rate and under any load.
+        Waiting for them, and in lockstep for the poses of the last period, keeps a simulation the
+        same at any rate and under any load.
         """
         self._air.clear(stamp)
         if not self._await_beacons(messages.encode_clock(stamp)):
@@ -165,14 +169,16 @@ class Simulator(runtime.Node):
         runtime.publish_all(self._messages(epoch))
 
     def _await_poses(self) -> Poses | None:
-        """Return the poses of the last period, once they have come; None without cooperation."""
-        if not self._config.cooperation:
+        """Return the poses of the last period, once they have come; None if nobody is to know."""
+        if not self._awaits_poses:
             return None
         if not self.spin(self._reports.is_complete, self._config.pose_timeout):
             silent = self._reports.give_up()
             self.get_logger().warning(
                 f'{len(silent)} vehicles, from {silent[0]} on, have sent no pose and are no '
                 'longer waited for')
+        if not self._config.cooperation:
+            return None
         return self._reports.poses(self._world.mobility.state.position.shape[1])
 
     def _await_beacons(self, clock: bytes) -> bool:
