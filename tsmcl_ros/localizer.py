@@ -18,6 +18,7 @@ import numpy as np
 from tsmcl_ros.config import adjust, build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.absence import Absences
+from tsmcl_ros.model.cloud import RecoveryConfig
 from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
 from tsmcl_ros.model.health import HealthConfig, HealthMonitor, LOST, OK, STALE
@@ -211,6 +212,7 @@ class Localizer:
         self._monitor = HealthMonitor(self.health_config, self.vehicles)
         self._absences = Absences(
             self.health_config, self.evidence_config.miss_rate, self.vehicles)
+        self._astray = np.zeros(self.vehicles, int)
         self._passed = np.full(self.vehicles, -np.inf)
         self._heard_at = np.full(self.vehicles, -np.inf)
         self._reinitializations = np.zeros(self.vehicles, int)
@@ -453,7 +455,9 @@ class Localizer:
         claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
         observation = self._judge(observation)
+        astray = self._drop_astray(observation)
         estimate = self._oriented(self._method.update(observation))
+        estimate = replace(estimate, reinitialized=estimate.reinitialized | astray)
         self.channel.calibrate(observation, estimate)
         if self.evidence_config.echo_guard > 0 and (
                 self._hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
@@ -463,6 +467,7 @@ class Localizer:
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
         self._monitor.doubt(estimate.reinitialized)
+        self._absences.renew(estimate.reinitialized)
         self._reinitializations += estimate.reinitialized
         return estimate
 
@@ -476,10 +481,33 @@ class Localizer:
         mean, covariance = self._method.moments()
         found = deviations(
             self.channel, observation, mean, covariance + self._hearsay.covariance)
-        self._absences.learn(found, observation)
+        met = self._anchors.met(observation)
+        self._absences.learn(found, observation, met)
         self._monitor.judge(found, self._absences.usual(found))
-        return self._absences.weigh(
-            observation, self._monitor.lost > 0.5, self._anchors.met(observation))
+        return self._absences.weigh(observation, self._monitor.lost > 0.5, met)
+
+    def _drop_astray(self, observation: Observation) -> Array:
+        """
+        Drop the beliefs that were lost for long, and return whose (V,) bool.
+
+        Methods notice by themselves when measurements contradict for long. Who is heard and who
+        is silent contradicts softly where beacons may get lost, and so must be counted.
+        """
+        assert self._method is not None
+        config, heard = self.method_config, observation.heard.any(axis=1)
+        lost = self._monitor.lost > 0.5
+        if lost.any():
+            lost &= ~self.channel.measured(observation).any(axis=1)
+        self._astray = np.where(heard, np.where(lost, self._astray + 1, 0), self._astray)
+        # Methods without a patience are exact, and lose nothing.
+        if not isinstance(config, RecoveryConfig):
+            return np.zeros(self.vehicles, bool)
+        astray = heard & (self._astray > config.patience)
+        for vehicle in np.flatnonzero(astray).tolist():
+            self._method.forget(vehicle)
+            self._hearsay.forget(vehicle)
+        self._astray[astray] = 0
+        return astray
 
     def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None
                         ) -> Estimate:

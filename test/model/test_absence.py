@@ -34,10 +34,11 @@ def epoch(heard, silent):
         observation, silent=silence)
 
 
-def learnt(*epochs, miss_rate=0.0):
+def learnt(*epochs, miss_rate=0.0, met=TWO, renewed=False):
     absences = Absences(HealthConfig(), miss_rate, 1)
     for found, observation in epochs:
-        absences.learn(found, observation)
+        absences.renew(np.array([renewed]))
+        absences.learn(found, observation, met)
     return absences
 
 
@@ -75,9 +76,17 @@ def test_what_a_vehicle_misses_that_is_somewhere_else_proves_little():
     assert weighed(learnt(*[elsewhere] * 20)).known.all()
 
 
-def test_a_map_of_which_several_anchors_are_missing_says_little_of_the_others():
-    absences = learnt(*[epoch([RIGHT] * 2, [WRONG] * 3)])
-    assert not weighed(absences, 4).known.any()
+SEVERAL = epoch([RIGHT] * 2, [WRONG] * 3)
+
+
+def test_several_silences_at_once_say_little_at_first_but_then_that_a_vehicle_is_elsewhere():
+    assert weighed(learnt(SEVERAL), 3).miss_rate == pytest.approx(0.05)
+    assert weighed(learnt(*[SEVERAL] * 5), 3).known.all()
+
+
+@pytest.mark.parametrize('case', [{'renewed': True}, {'met': NOBODY}])
+def test_of_several_anchors_missed_by_who_was_placed_anew_or_meets_strangers_none_is_left(case):
+    assert not weighed(learnt(*[SEVERAL] * 2, **case), 4).known.any()
 
 
 def test_one_missing_anchor_says_nothing_of_the_others():

@@ -404,6 +404,10 @@ class Channel:
             self.switches.use_rssi
             and (self.radio.radio_model == 'lognormal' or self.radio.measure_rssi))
 
+    def measured(self, observation: Observation) -> Array:
+        """Return the rows (V, K) bool that hold a range or an rssi that counts."""
+        return self.distances(observation)[2] | self.powered(observation)
+
     def calibrate(self, observation: Observation, estimate: Estimate) -> None:
         """
         Learn from an epoch what the ranges are like, if that is switched on.
