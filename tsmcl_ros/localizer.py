@@ -10,7 +10,7 @@ between two odometry poses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.resume import Last, last_known, resumed
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import SpeakerConfig, Speakers
 from tsmcl_ros.types import (
@@ -163,6 +164,7 @@ class Localizer:
             self.evidence_config.silence, vehicles, self.config.dimension)
         self._links = Links.none()
         self._ready: list[Estimate] = []
+        self._lasts: list[Last] = []
         self.reset()
         if self.motion_config.motion_model != 'auto':
             # Where method and motion do not fit, fail now rather than at the first epoch.
@@ -219,6 +221,7 @@ class Localizer:
         self._now = -np.inf
         self._last: float | None = None
         self._estimate: Estimate | None = None
+        self._speed = np.full(self.vehicles, np.nan)
 
     @property
     def now(self) -> float:
@@ -375,6 +378,16 @@ class Localizer:
         """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
         self._priors.append(prior)
 
+    def resume(self, lasts: Sequence[Last]) -> None:
+        """Begin, at the first epoch, where another localizer left its vehicles."""
+        self._lasts = list(lasts)
+
+    def last_known(self) -> list[Last]:
+        """Return what another localizer can begin with: those vehicles that are not lost."""
+        if self._estimate is None:
+            return []
+        return last_known(self._estimate, self._speed, self.status != LOST)
+
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
         self._outage.forget(vehicle)
@@ -434,10 +447,12 @@ class Localizer:
         """Predict, update and judge: the core that every path runs through."""
         stamp = observation.stamp
         motion = self._odometry.motion(self._last, stamp, self.config.dimension)
+        if motion is not None and motion.displacement is not None and motion.elapsed > 0:
+            self._speed = np.linalg.norm(motion.displacement, axis=1) / motion.elapsed
         if self._method is None:
             self._method = self._make_method(motion is not None)
             self._awaits_odometry = self.motion_config.motion_model == 'auto' and motion is None
-            self._start()
+            self._start(stamp)
         elif self._estimate is not None:
             if self._awaits_odometry and motion is not None:
                 self._adopt_odometry(self._estimate)
@@ -587,9 +602,14 @@ class Localizer:
             return prior
         return replace(prior, yaw=prior.yaw - float(turned))
 
-    def _start(self) -> None:
-        """Give every vehicle the configured initial pose, ahead of what messages brought."""
+    def _start(self, stamp: float) -> None:
+        """Give every vehicle what it is to start from, ahead of what messages brought."""
         config = self.config
+        priors = [resumed(last, stamp, self._odometry.at_epoch[last.vehicle],
+                          self.motion_config.max_speed, self.channel.radio_range)
+                  for last in self._lasts]
+        self._priors[:0] = [prior for prior in priors if prior is not None]
+        self._lasts = []
         if not config.set_initial_pose:
             return
         place = [config.initial_pose_x, config.initial_pose_y, config.initial_pose_z]

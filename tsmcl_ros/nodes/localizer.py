@@ -24,6 +24,7 @@ from tsmcl_ros.model.speakers import ignored_note
 from tsmcl_ros.nodes import discovery, runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import live, select
+from tsmcl_ros.nodes.resume import Memory
 from tsmcl_ros.nodes.security import SecurityConfig
 from tsmcl_ros.nodes.transforms import Broadcaster
 from tsmcl_ros.types import Estimate, MessageError, Observation
@@ -66,6 +67,7 @@ class LocalizerNode(ManagedNode):
         self._estimate: Estimate | None = None
         self._status = np.full(len(names), LOST)
         self._latency = math.nan
+        self._memory = self._recalled() if self._output.resume_from else None
         self._offer()
         self._subscribe()
         if inputs.ranges or inputs.references:
@@ -190,6 +192,8 @@ class LocalizerNode(ManagedNode):
         self._estimate = estimates[-1]
         self._publish_views(self._estimate)
         self._note_status(self._estimate.stamp)
+        if self._memory is not None:
+            self._memory.save()
 
     def _publish_poses(self, estimate: Estimate) -> None:
         runtime.publish_all(
@@ -281,6 +285,13 @@ class LocalizerNode(ManagedNode):
             self._marker_rest.end()
             self._publish_views(self._estimate)
         return response
+
+    def _recalled(self) -> Memory:
+        """Return what keeps the last poses, after those of an earlier localizer were taken."""
+        memory = Memory(self._localizer, self._vehicles, self._output, self.get_logger().error)
+        if found := memory.recall():
+            self.get_logger().info(f'{found} vehicles resume from {self._output.resume_from}')
+        return memory
 
     def _broadcaster(self, names: list[str]) -> Broadcaster:
         return Broadcaster(

@@ -1,0 +1,138 @@
+"""The file of last poses: what is read back, and what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tsmcl_ros.endpoint import OutputConfig
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.nodes.resume import Memory
+from tsmcl_ros.types import Prior
+from tsmcl_ros.world import make_world
+
+NAMES = ['/veh_0', '/veh_1']
+SETTINGS = {'radio_range': 1000.0}
+
+
+def localizer() -> Localizer:
+    """Return one that has localized two vehicles."""
+    world = make_world({'vehicles': 2, **SETTINGS}, np.random.default_rng(1))
+    found = Localizer(SETTINGS, 2)
+    found.anchor_map(world.anchors)
+    for _ in range(3):
+        epoch = world.step()
+        found.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    return found
+
+
+def memory(path: Path, of: Localizer, complaints: list[str], **output: Any) -> Memory:
+    return Memory(of, NAMES, OutputConfig(resume_from=str(path), **output), complaints.append)
+
+
+def test_what_one_localizer_keeps_the_next_begins_with(tmp_path: Path) -> None:
+    path, complaints = tmp_path / 'last.json', list[str]()
+    before, after = localizer(), Localizer(SETTINGS, 2)
+    memory(path, before, complaints).save()
+    assert memory(path, after, complaints).recall() == 2
+    for kept, known in zip(after._lasts, before.last_known(), strict=True):
+        assert kept.vehicle == known.vehicle
+        assert kept.stamp == known.stamp
+        for name in ('mean', 'covariance', 'odometry', 'speed', 'rotation'):
+            np.testing.assert_array_equal(getattr(kept, name), getattr(known, name))
+    assert complaints == []
+    assert [item.name for item in tmp_path.iterdir()] == ['last.json']
+
+
+def test_poses_are_kept_no_more_often_than_wanted(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    keeper = memory(path, localizer(), [], save_pose_rate=1e-3)
+    keeper.save()
+    path.unlink()
+    keeper.save()
+    assert not path.exists()
+    keeper.save(at_once=True)
+    assert path.exists()
+
+
+def test_the_first_start_has_nothing_to_begin_with(tmp_path: Path) -> None:
+    complaints: list[str] = []
+    assert memory(tmp_path / 'none.json', Localizer(SETTINGS, 2), complaints).recall() == 0
+    assert complaints == []
+
+
+@pytest.mark.parametrize(('change', 'reason'), [
+    (lambda text: text[:100], 'JSONDecodeError: '),
+    (lambda text: '', 'JSONDecodeError: '),
+    (lambda text: '[' * 100_000, 'RecursionError: '),
+    (lambda text: '[]', 'TypeError: list indices'),
+    (lambda text: '\udcff', 'UnicodeDecodeError: '),
+    (lambda text: text.replace('"map"', '"odom"'),
+     "ValueError: frame_id 'odom' is not allowed, must be 'map'"),
+    (lambda text: text.replace('"mean": [', '"mean": [1, '),
+     'is not allowed, must have the shape (2,)'),
+    (lambda text: text.replace('"mean": [', '"mean": [NaN, 1], "none": ['),
+     'is not allowed, must have the shape (2,)'),
+    (lambda text: text.replace('"covariance": [[', '"covariance": [[-1, 0], [0, 1]], "none": [['),
+     'is not allowed, must be positive semidefinite'),
+    (lambda text: text.replace('"stamp"', '"time"'), "KeyError: 'stamp'"),
+])
+def test_a_file_that_is_none_is_one_line_and_vehicles_start_from_anywhere(
+    tmp_path: Path, change: Any, reason: str,
+) -> None:
+    path, complaints = tmp_path / 'last.json', list[str]()
+    memory(path, localizer(), complaints).save()
+    path.write_bytes(change(path.read_text()).encode(errors='surrogateescape'))
+    after = Localizer(SETTINGS, 2)
+    assert memory(path, after, complaints).recall() == 0
+    [line] = complaints
+    assert line.startswith(f'resume_from: {path} is not read, vehicles start from anywhere: ')
+    assert reason in line
+    assert '\n' not in line
+    assert after._lasts == []
+
+
+def test_a_file_of_other_vehicles_is_of_no_use(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, localizer(), []).save()
+    path.write_text(path.read_text().replace('/veh_', '/car_'))
+    assert memory(path, Localizer(SETTINGS, 2), []).recall() == 0
+
+
+def test_a_file_that_cannot_be_written_is_said_once(tmp_path: Path) -> None:
+    complaints: list[str] = []
+    keeper = memory(tmp_path / 'none' / 'last.json', localizer(), complaints)
+    for _ in range(3):
+        keeper.save(at_once=True)
+    assert complaints == [f'resume_from: {tmp_path}/none/last.json cannot be written: '
+                          'No such file or directory']
+
+
+def test_whoever_says_where_a_vehicle_is_counts_more(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    before = localizer()
+    memory(path, before, []).save()
+    after = Localizer(SETTINGS, 2)
+    memory(path, after, []).recall()
+    after.initial_pose(Prior(0, np.array([5.0, 5.0]), 1e-4 * np.eye(2)))
+    world = make_world({'vehicles': 2, **SETTINGS}, np.random.default_rng(1))
+    epochs = [world.step() for _ in range(4)]
+    empty = replace_heard(epochs[-1].observation)
+    found = after.epoch(empty, epochs[-1].odom_position, epochs[-1].odom_yaw)
+    np.testing.assert_allclose(found.mean[0], [5.0, 5.0], atol=1)
+    assert np.linalg.norm(found.mean[1] - epochs[-1].position[1]) < 500
+
+
+def replace_heard(observation: Any) -> Any:
+    """Return an observation of nothing."""
+    return type(observation).empty(2, 0, 2, observation.stamp)
+
+
+def test_the_file_is_plain_json(tmp_path: Path) -> None:
+    memory(tmp_path / 'last.json', localizer(), []).save()
+    content = json.loads((tmp_path / 'last.json').read_text())
+    assert content['frame_id'] == 'map'
+    assert content['poses'].keys() == set(NAMES)
