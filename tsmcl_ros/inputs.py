@@ -9,7 +9,8 @@ a parameter, or, if it moves, a topic of its poses. Nodes and offline runs liste
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 import math
 import re
 from typing import TypeVar
@@ -190,9 +191,7 @@ class RangeInput:
             If the localizer refuses one of them; the others have been handed over.
 
         """
-        if self._localizer.restarts != self._restarts:
-            self._restarts = self._localizer.restarts
-            self._gatherer.reset()
+        self._note_restarts()
         now = self._localizer.now if now is None else now
         refused: MessageError | None = None
         for vehicle, scan in self._gatherer.due(now, self._localizer.config.max_wait):
@@ -225,14 +224,29 @@ class RangeInput:
         reading = messages.decode_range(data)
         for vehicle, text in whose:
             sender = _sender(reading.frame_id if text is None else text, text is not None)
-            self._localizer.admit(
-                'range', reading.stamp, self._gatherer.last(vehicle, topic, sender))
-            self.gather()
-            distance = reading.range if self._is_heeded(vehicle, sender) else math.nan
-            self._gatherer.add(vehicle, topic, Reading(
-                reading.stamp, sender, distance, math.sqrt(reading.variance)))
-        self._localizer.clock(reading.stamp)
+            self._take(vehicle, topic, Reading(
+                reading.stamp, sender, reading.range, math.sqrt(reading.variance)))
         self.gather()
+
+    def _take(self, vehicle: int, topic: str, reading: Reading) -> None:
+        """Take in a range of a vehicle, if it is in time."""
+        self._note_restarts()
+        if not self._localizer.admit(
+                'range', vehicle, reading.stamp,
+                self._gatherer.last(vehicle, topic, reading.sender),
+                partial(self._take, vehicle, topic, reading)):
+            return
+        self.gather()
+        if not self._is_heeded(vehicle, reading.sender):
+            reading = replace(reading, range=math.nan)
+        self._gatherer.add(vehicle, topic, reading)
+        self._localizer.clock(reading.stamp)
+
+    def _note_restarts(self) -> None:
+        """Forget what waits where the localizer has started anew."""
+        if self._localizer.restarts != self._restarts:
+            self._restarts = self._localizer.restarts
+            self._gatherer.reset()
 
     def _is_heeded(self, vehicle: int, sender: int) -> bool:
         """Tell whether a sender may speak, and count a range to one that may not."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.resume import Last, last_known, resumed
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import SpeakerConfig, Speakers
+from tsmcl_ros.model.timeline import Again, Held, Timeline
 from tsmcl_ros.types import (
     Array,
     ConfigError,
@@ -48,7 +50,9 @@ from tsmcl_ros.types import (
 # Methods that are made for outages, and so predict through them on their own.
 _PREDICTS_OUTAGES = ('grey_ekf',)
 # Who is not told of any time for this long [s] cannot say where its vehicles have gone.
-_LONGEST_LEAP = 3600.0
+LONGEST_LEAP = 3600.0
+# Stamps that are further apart [s], or than time_jump, do not tell the same time.
+_SPAN = 10.0
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,7 @@ class Localizer:
         self._links = Links.none()
         self._ready: list[Estimate] = []
         self._lasts: list[Last] = []
+        self._refused: list[tuple[int, MessageError]] = []
         self.reset()
         if self.motion_config.motion_model != 'auto':
             # Where method and motion do not fit, fail now rather than at the first epoch.
@@ -195,6 +200,7 @@ class Localizer:
         refuse_unknown(settings, CONFIGS, 'localizer')
         adjust((self.config, self.speakers.config, self.motion_config, self.method_config,
                 self.radio_config, self.evidence_config, self.health_config), settings)
+        self._timeline.span = self._span
         self._learn_links()
 
     def reset(self) -> None:
@@ -219,6 +225,8 @@ class Localizer:
         self._heard_at = np.full(self.vehicles, -np.inf)
         self._reinitializations = np.zeros(self.vehicles, int)
         self._now = -np.inf
+        self._timeline = Timeline(self.vehicles, self._span)
+        self._lag = 0.0
         self._last: float | None = None
         self._estimate: Estimate | None = None
         self._speed = np.full(self.vehicles, np.nan)
@@ -318,8 +326,13 @@ class Localizer:
 
         """
         stamp = observation.stamp
-        self.admit('beacons', stamp, self._passed[vehicle])
+        again = partial(self.beacons, vehicle, observation)
+        if not self.admit('beacons', vehicle, stamp, self._passed[vehicle], again):
+            return
         if self._last is not None and stamp <= self._last:
+            if self._estimate is not None and not self._estimate.heard.any():
+                # Only predicted, while these were on their way.
+                self._lag = max(self._lag, self._now - stamp)
             raise MessageError(
                 f'beacons: stamp {stamp:.6f} s is not allowed, must be after the last epoch, '
                 f'{self._last:.6f} s')
@@ -341,38 +354,68 @@ class Localizer:
             If it comes too late.
 
         """
-        self.admit('odometry', odometry.stamp, self._odometry.latest[vehicle])
-        self._odometry.add(vehicle, odometry)
-        self._now = max(self._now, odometry.stamp)
+        again = partial(self.odometry, vehicle, odometry)
+        if self.admit('odometry', vehicle, odometry.stamp, self._odometry.latest[vehicle], again):
+            self._odometry.add(vehicle, odometry)
+            self._now = max(self._now, odometry.stamp)
 
-    def admit(self, what: str, stamp: float, latest: float) -> None:
+    def admit(self, what: str, vehicle: int, stamp: float, latest: float, again: Again) -> bool:
         """
-        Start anew where a topic's time has jumped, as every message with a stamp must have asked.
+        Tell whether a message is to be taken in now, as every one with a stamp must have asked.
+
+        Where time has jumped, for most vehicles that say anything, everything starts anew.
 
         Parameters
         ----------
         what : str
             Names the messages in an error.
+        vehicle : int
+            Whose it is.
         stamp, latest : float
-            Of a message, and of the last one on its topic, -inf if there was none [s].
+            Of the message, and of the last one on its topic, -inf if there was none [s].
+        again : callable
+            Hands it over again, and so asks again.
+
+        Returns
+        -------
+        bool
+            False if it was held back until it is clear what the time is, or handed over again.
 
         Raises
         ------
         MessageError
-            If the message comes too late.
+            If it comes too late, or tells another time than most vehicles.
 
         """
-        if self._leaps(stamp, latest):
-            self._restart()
-        elif stamp <= latest:
+        late = stamp < self._now - self.config.time_jump
+        back = stamp < latest - self.config.time_jump
+        if not back and stamp <= latest:
             raise MessageError(
                 f'{what}: stamp {stamp:.6f} s is not allowed, must be after the last one, '
                 f'{latest:.6f} s')
-        elif stamp < self._now - self.config.time_jump:
+        ahead = -np.inf < self._now < stamp - self._span
+        if not (late or ahead):
+            self._timeline.accept(vehicle, stamp)
+            return True
+        if self._timeline.wins(vehicle, stamp, self._now, leaps=back or ahead):
+            self._follow(stamp)
+            again()
+        elif late and not back:
             raise MessageError(
                 f'{what}: stamp {stamp:.6f} s is not allowed, must be at most '
                 f'{self.config.time_jump:g} s before the newest of all messages, '
                 f'{self._now:.6f} s')
+        elif not self._timeline.hold(Held(what, vehicle, stamp, again)):
+            raise self._stray(what, stamp)
+        return False
+
+    def refused(self) -> list[tuple[int, MessageError]]:
+        """Return, once, which vehicles' messages were refused after they had been held back."""
+        refused, self._refused = self._refused, []
+        refused += [(held.vehicle, self._stray(held.what, held.stamp))
+                    for held in self._timeline.given_up]
+        self._timeline.given_up = []
+        return refused
 
     def initial_pose(self, prior: Prior) -> None:
         """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
@@ -399,7 +442,7 @@ class Localizer:
 
     def clock(self, stamp: float) -> None:
         """Let time pass [s] without a message; a jump starts anew."""
-        if self._leaps(stamp, self._now):
+        if stamp < self._now - self.config.time_jump or self._is_far_ahead(stamp):
             self._restart()
         self._now = max(self._now, stamp)
 
@@ -630,7 +673,8 @@ class Localizer:
 
     def _settled(self, stamp: float) -> bool:
         """Return whether all that belongs to an epoch is there, or has been waited for."""
-        if self._now >= stamp + self.config.max_wait:
+        wait = self.config.max_wait + (0.0 if stamp in self._pending else self._lag)
+        if self._now >= stamp + wait:
             return True
         if (self._passed < stamp).any():
             return False
@@ -640,13 +684,37 @@ class Localizer:
             expected[:] = True
         return bool((self._odometry.latest[expected] >= stamp).all())
 
-    def _leaps(self, stamp: float, latest: float) -> bool:
-        """Return whether time jumps: back from the latest, or far ahead of all that is known."""
-        return (stamp < latest - self.config.time_jump
-                or -np.inf < self._now < stamp - _LONGEST_LEAP)
+    @property
+    def _span(self) -> float:
+        """How far apart stamps may be that tell the same time [s]."""
+        return max(self.config.time_jump, _SPAN)
+
+    def _stray(self, what: str, stamp: float) -> MessageError:
+        return MessageError(
+            f'{what}: stamp {stamp:.6f} s is not allowed, must be within {self._span:g} s of what '
+            f'most vehicles tell, {self._now:.6f} s')
+
+    def _follow(self, stamp: float) -> None:
+        """Take up the time that most vehicles tell, and what was held back of them."""
+        begin, held = self._timeline.follow(stamp)
+        if begin < self._now or self._is_far_ahead(begin):
+            self._restart()
+        else:
+            self._now = begin
+        for one in held:
+            try:
+                one.again()
+            except MessageError as error:
+                self._refused.append((one.vehicle, error))
+
+    def _is_far_ahead(self, stamp: float) -> bool:
+        """Tell whether a stamp is so far ahead that nobody can say what has happened since."""
+        return -np.inf < self._now < stamp - LONGEST_LEAP
 
     def _restart(self) -> None:
         """Start anew; epochs that still waited are not lost."""
         self._ready = self.finish()
+        given_up = self._timeline.given_up
         self.reset()
+        self._timeline.given_up = given_up
         self.restarts += 1

@@ -18,7 +18,7 @@ from tsmcl_ros.config import adjust, build
 from tsmcl_ros.diagnosis import diagnose, DIAGNOSTICS_PERIOD, NAMES
 from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig, Rest
 from tsmcl_ros.inputs import InputConfig
-from tsmcl_ros.localizer import CONFIGS, Localizer
+from tsmcl_ros.localizer import CONFIGS, Localizer, LONGEST_LEAP
 from tsmcl_ros.model.health import LOST, STALE
 from tsmcl_ros.model.speakers import ignored_note
 from tsmcl_ros.nodes import discovery, runtime, views
@@ -157,6 +157,8 @@ class LocalizerNode(ManagedNode):
         self._arrival = time.monotonic()
         before = self._localizer.now
         handler(data)
+        for vehicle, error in self._localizer.refused():
+            self.reject(self._vehicles[vehicle], error)
         if self._localizer.now > before:
             self._told, self._told_at = self._localizer.now, None
         self._publish_due()
@@ -184,16 +186,22 @@ class LocalizerNode(ManagedNode):
             self.get_logger().info(note)
         for estimate in estimates:
             self._publish_poses(estimate)
+            self._note_jump(self._estimate, estimate)
+            self._estimate = estimate
         self._latency = time.monotonic() - self._arrival
-        if self._estimate is not None and estimates[0].stamp < self._estimate.stamp:
-            self.get_logger().info(
-                f'time went back from {self._estimate.stamp:.3f} s to {estimates[0].stamp:.3f} s: '
-                f'started anew')
-        self._estimate = estimates[-1]
+        assert self._estimate is not None
         self._publish_views(self._estimate)
         self._note_status(self._estimate.stamp)
         if self._memory is not None:
             self._memory.save()
+
+    def _note_jump(self, before: Estimate | None, after: Estimate) -> None:
+        """Log it where time has jumped from one epoch to the next."""
+        if before is None or 0 <= after.stamp - before.stamp <= LONGEST_LEAP:
+            return
+        begin = 'time went back from ' if after.stamp < before.stamp else 'time leapt from '
+        self.get_logger().info(
+            f'{begin}{before.stamp:.3f} s to {after.stamp:.3f} s: started anew')
 
     def _publish_poses(self, estimate: Estimate) -> None:
         runtime.publish_all(

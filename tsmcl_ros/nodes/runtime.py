@@ -152,7 +152,7 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
             try:
                 heed(data)
             except MessageError as error:
-                self._rejections.add(name, error)
+                self.reject(name, error)
             except TsmclError as error:
                 # For `spin` to raise: the executor would write a traceback first.
                 self._failure = error
@@ -160,6 +160,10 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
         subscription = self.create_subscription(message_class(kind), topic, receive, qos, raw=True)
         name = subscription.topic_name
         return subscription
+
+    def reject(self, whose: str, error: MessageError) -> None:
+        """Log that a message was rejected, of a topic or of somebody."""
+        self._rejections.add(whose, error)
 
     def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
         """Return a publisher, which takes serialized messages as they are."""

@@ -207,6 +207,8 @@ def localize_bag(
                 for kind, handler in takers[message.topic]:
                     with outcome.counting(message.topic):
                         _hand(handler, kind, message)
+                for vehicle, error in localizer.refused():
+                    outcome.reject(names[vehicle] or '/', str(error))
                 if math.isnan(outcome.lag) and localizer.now > -math.inf:
                     outcome.lag = message.stamp - localizer.now
                 outlet.write(localizer.due())
