@@ -13,8 +13,9 @@ SCRIPTS = ('demo', 'evaluate', 'experiment', 'fit_path_loss', 'import_csv', 'loc
 # test/oldest.txt pins them and `make test-oldest` runs the suite there.
 REQUIRED = [
     'PyYAML>=6.0.1,<7',
+    'lz4>=4.0.2,<5',
     'numpy>=1.26,<3',
-    'rosbags>=0.11,<0.12',
+    'rosbags>=0.11.7,<0.12',
     # What rosbags reads and writes YAML by; without it to open a bag of a fleet takes seconds.
     'ruamel.yaml.clib>=0.2.8,<0.3',
     'scipy>=1.11,<2',

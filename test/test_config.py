@@ -315,3 +315,45 @@ def test_that_a_file_without_parameters_says_what_was_expected(tmp_path: Path, t
     with pytest.raises(ConfigError) as error:
         load_yaml(path, 'engine')
     assert str(error.value).startswith(f'{path}: holds no parameters, expected "/**:"')
+
+
+BOMB = '\n'.join(['a: &a {x: 1}', *(
+    f'{new}: &{new} {{p: *{old}, q: *{old}, r: *{old}, s: *{old}}}'
+    for old, new in zip('abcdefghijklmno', 'bcdefghijklmnop', strict=True))])
+
+
+@pytest.mark.parametrize(('text', 'error'), [
+    (f'{BOMB}\n/**: {{ros__parameters: *p}}', r'the alias \*a is not allowed, parameters have no'),
+    ('/**: {ros__parameters: &a {<<: *a, x: *a}}', r'the alias \*a is not allowed'),
+    ('/**: !!python/object/apply:os.system [id]',
+     'the tag tag:yaml.org,2002:python/object/apply:os.system is not allowed, must be !!str'),
+    ('/**: !!timestamp x', 'timestamp is not allowed, must be !!str or none'),
+    ('/**: 2001-99-99', 'is not a YAML file: month must be in 1..12'),
+    ('/**: ' + '[' * 5000, 'is not a YAML file: more than 20 levels are not allowed'),
+    ('/**: ' + 'x' * 2**18, 'is larger than a parameter file may be, 262144 bytes'),
+])
+def test_a_parameter_file_that_grows_or_computes_is_refused(
+        tmp_path: Path, text: str, error: str) -> None:
+    path = tmp_path / 'hostile.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=error):
+        load_yaml(path)
+
+
+def test_a_text_of_digits_may_be_told_to_be_one(tmp_path: Path) -> None:
+    path = tmp_path / 'parameters.yaml'
+    path.write_text('/**: {ros__parameters: {name: !!str 7}}')
+    assert load_yaml(path) == {'name': '7'}
+
+
+@pytest.mark.parametrize('text', ['!!bool x', '*a', '0001-01-01T00:00:00+23:59', '9' * 5000])
+def test_a_value_that_yaml_stumbles_over_is_refused(text: str) -> None:
+    power = next(item for item in parameters(EngineConfig) if item.name == 'power')
+    with pytest.raises(ConfigError, match='power: .* is not allowed, must be a number above 0'):
+        power.parse(text)
+
+
+def test_a_number_that_python_does_not_write_is_refused() -> None:
+    power = next(item for item in parameters(EngineConfig) if item.name == 'power')
+    with pytest.raises(ConfigError, match='power: a number of thousands of digits is not allowed'):
+        power.parse('0x' + 'f' * 5000)

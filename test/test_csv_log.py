@@ -217,3 +217,9 @@ def test_arbitrary_rows_raise_a_log_error_at_most(tmp_path_factory, text):
         list(read_log(folder).epochs(0.5))
     except LogError as error:
         assert '\n' not in str(error)
+
+
+def test_an_id_beyond_all_floats_is_refused(tmp_path):
+    folder = log_folder(tmp_path, anchors=f'id,x,y,z\n{"9" * 400},0,0,0\n')
+    with pytest.raises(LogError, match=r"anchors.csv:2: id '9+' is not allowed, must be a whole"):
+        read_log(folder)

@@ -111,7 +111,7 @@ def test_a_group_names_the_sender_wherever_the_own_node_stands():
     assert senders(endpoint, scans) == [[5, 6]]
 
 
-@pytest.mark.parametrize('frame_id', ['5', 'anchor_5', 'uwb1/anchor5'])
+@pytest.mark.parametrize('frame_id', ['5', 'anchor_5', 'uwb1/anchor5', 'n' + '0' * 5000 + '5'])
 def test_without_a_group_the_last_number_of_the_frame_names_it(frame_id):
     endpoint, handlers, scans = listen('/uwb', ranges=('/uwb',), anchors=ANCHORS)
     handlers['/uwb'](measured(1.0, frame_id=frame_id))
@@ -125,6 +125,12 @@ def test_a_sender_without_a_number_is_refused(pattern, error):
     _, handlers, _ = listen('/uwb', ranges=(pattern,))
     with pytest.raises(MessageError, match=re.escape(error)):
         handlers['/uwb'](measured(1.0, frame_id='tag'))
+
+
+def test_a_sender_of_thousands_of_digits_is_refused():
+    _, handlers, _ = listen('/uwb', ranges=('/uwb',))
+    with pytest.raises(MessageError, match="frame_id '9+.*' names no sender, must hold a number"):
+        handlers['/uwb'](measured(1.0, frame_id='9' * 5000))
 
 
 def test_an_anchor_map_places_senders_too():

@@ -413,3 +413,12 @@ def test_mutations_raise_a_message_error_at_most(kind, data):
         DECODERS[kind](bytes(mutated[:len(VALID[kind])]))
     except MessageError as error:
         assert '\n' not in str(error)
+
+
+@pytest.mark.parametrize('x', [1.1e8, -1e300])
+def test_a_place_beyond_the_earth_is_refused(x):
+    data = messages.encode_odometry(Odometry(1.0, np.array([x, 0.0, 0.0]), 0.0), 'odom', 'base')
+    error = 'position x .* is not allowed, must be finite and within 1e[+]08 m'
+    for decode in (messages.decode_odometry, lambda data: messages.decode_odometries([data])):
+        with pytest.raises(MessageError, match=error):
+            decode(data)

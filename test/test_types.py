@@ -98,3 +98,22 @@ def test_that_the_largest_identity_of_32_bits_is_not_taken_for_padding() -> None
 @pytest.mark.parametrize('name', ['ConfigError', 'MessageError', 'BagError', 'LogError'])
 def test_that_all_errors_have_one_root(name: str) -> None:
     assert issubclass(getattr(types, name), types.TsmclError)
+
+
+def test_an_error_is_one_line_that_forges_no_other() -> None:
+    error = types.LogError('cell "1\r\n[ERROR] all is lost\x1b[2J\u202e\udcff" is not allowed')
+    assert str(error) == (
+        'cell "1\\r\\n[ERROR] all is lost\\x1b[2J\\u202e\\udcff" is not allowed')
+
+
+@pytest.mark.parametrize('letter', ['x', '\0'])
+def test_an_error_keeps_its_ends_of_a_text_that_is_too_long(letter: str) -> None:
+    text = str(types.MessageError(f'frame {letter * 10**6} is not allowed, must be map'))
+    assert len(text) < 2100
+    assert text.startswith('frame ')
+    assert text.endswith(' is not allowed, must be map')
+
+
+def test_an_error_of_an_error_is_escaped_once() -> None:
+    inner = types.MessageError('frame \n')
+    assert str(types.MessageError(f'message 3: {inner}')) == 'message 3: frame \\n'

@@ -31,6 +31,7 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.store import Typestore
+from tsmcl_ros import bag_checks
 from tsmcl_ros import storage as files
 from tsmcl_ros.types import BagError
 
@@ -87,20 +88,34 @@ class Reader:
             _refuse_what_is_no_bag(self.path)
             self._bag = rosbag2.Reader(self.path)
             self._bag.open()
+            try:
+                self._describe()
+            except BaseException:
+                self.close()
+                raise
+
+    def _describe(self) -> None:
+        """Take over what the bag says of itself."""
+        storage = self._bag.storage
+        self._packed = storage.metadata.compression_mode == 'message'
+        if self._packed:
+            # rosbags would unpack messages of any size.
+            storage.metadata = storage.metadata._replace(compression_mode=None)
         connections = self._bag.connections
-        self.topics = {item.topic: item.msgtype for item in connections}
+        for item in connections:
+            bag_checks.check_topic(self.path, item.topic)
+        self.topics = {item.topic: str(item.msgtype) for item in connections}
         self.counts = dict.fromkeys(self.topics, 0)
         for item in connections:
             self.counts[item.topic] += item.msgcount
         self.latched = {item.topic for item in connections if is_latched(item)}
-        custom = self._bag.storage.metadata.custom
+        custom = storage.metadata.custom
         self.about = {str(key): str(value) for key, value in custom.items()} if isinstance(
             custom, dict) else {}
         self.start = self._bag.start_time / SECOND
         # The end that rosbags names is a nanosecond after the last message.
         self.duration = max(self._bag.duration - 1, 0) / SECOND
         if not self._bag.message_count:
-            self.close()
             raise BagError(f'{self.path}: holds no messages')
 
     @property
@@ -133,6 +148,8 @@ class Reader:
             return
         with readable(self.path):
             for item, nanoseconds, data in self._bag.messages(connections):
+                if self._packed:
+                    data = bag_checks.unpack_message(data)
                 yield Message(item.topic, item.msgtype, nanoseconds / SECOND, data)
 
     def close(self) -> None:
@@ -359,28 +376,18 @@ def _refuse_what_is_no_bag(path: Path) -> None:
         raise BagError(
             f'{path}: is not a bag, or its recording was cut short: it has no metadata.yaml'
         )
-    storage = re.search(r'storage_identifier:\s*["\']?(\w+)', metadata.read_text('utf-8'))
+    text = metadata.read_text('utf-8')
+    storage = re.search(r'storage_identifier:\s*["\']?(\w+)', text)
     if storage and storage[1] not in STORAGES:
         raise BagError(
             f'{path}: storage {storage[1]!r} is not supported, must be one of '
             f'{", ".join(STORAGES)}'
         )
+    bag_checks.check_metadata(metadata, text)
     for database in path.glob('*.db3'):
-        _refuse_cut_database(database)
-
-
-def _refuse_cut_database(path: Path) -> None:
-    """Refuse an SQLite file that lacks its end: SQLite takes a page's missing bytes for zeros."""
-    with path.open('rb') as file:
-        header = file.read(100)
-    page_size, pages = int.from_bytes(header[16:18], 'big'), int.from_bytes(header[28:32], 'big')
-    size = (page_size if page_size > 1 else 2**16) * pages
-    # The number of pages counts where the header's two change counters agree.
-    if header[24:28] == header[92:96] and path.stat().st_size < size:
-        raise BagError(
-            f'{path}: cannot be read, it is truncated or damaged: has {path.stat().st_size} '
-            f'bytes, must have {size}'
-        )
+        bag_checks.check_database(database)
+    for packed in path.glob('*.zstd'):
+        bag_checks.check_packed(packed)
 
 
 @contextmanager
@@ -394,7 +401,13 @@ def readable(path: Path) -> Iterator[None]:
         raise BagError(f'{path}: cannot be read: {error.strerror}') from error
     except Exception as error:
         raise BagError(
-            f'{path}: cannot be read, it is truncated or damaged: {_reason(error)}') from error
+            f'{path}: cannot be read, it is truncated or damaged: {_damage(error)}') from error
+
+
+def _damage(error: Exception) -> str:
+    """Say what a parser tripped over, where it was written for people."""
+    own = type(error).__module__ == 'builtins' and not isinstance(error, (OSError, ValueError))
+    return 'its records do not fit together' if own else _reason(error)
 
 
 def _reason(error: Exception) -> str:

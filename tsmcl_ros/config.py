@@ -23,6 +23,12 @@ import yaml
 
 C = TypeVar('C', bound='Config')
 
+# What reading YAML may raise: numbers and dates that are none are ValueErrors.
+_UNREADABLE = (yaml.YAMLError, ValueError)
+_DEEPEST = 20
+_TAGS = (None, '!', 'tag:yaml.org,2002:str')
+_LARGEST_FILE = 2**18  # bytes; all parameters with their documentation are a tenth of it
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -63,7 +69,11 @@ class Parameter:
 
     def refuse(self, value: Any) -> ConfigError:
         """Return the error that names this parameter, the value, and what is allowed."""
-        return ConfigError(f'{self.name}: {value!r} is not allowed, must be {self.allowed}')
+        try:
+            shown = repr(value)
+        except ValueError:  # Python writes no number of more than 4300 digits.
+            shown = 'a number of thousands of digits'
+        return ConfigError(f'{self.name}: {shown} is not allowed, must be {self.allowed}')
 
     def convert(self, value: Any) -> Any:
         """
@@ -106,10 +116,10 @@ class Parameter:
         if self.type is tuple:
             return self.convert([item for item in text.split(',') if item])
         try:
-            value = yaml.safe_load(text)
+            value = _read_yaml(text)
             if self.type is float and isinstance(value, str):
                 value = float(value)
-        except (yaml.YAMLError, ValueError):
+        except _UNREADABLE:
             raise self.refuse(text) from None
         return self.convert(value)
 
@@ -285,24 +295,57 @@ def load_yaml(path: str | Path, node: str = '') -> dict[str, Any]:
 
     """
     try:
-        document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        with Path(path).open('rb') as file:
+            content = file.read(_LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
+            raise ConfigError(
+                f'{path}: is larger than a parameter file may be, {_LARGEST_FILE} bytes')
+        document = _read_yaml(content.decode())
     except OSError as error:
         raise ConfigError(f'{path}: cannot read the parameter file: {error.strerror}') from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except _UNREADABLE as error:
         reason = ' '.join(str(error).split())
         raise ConfigError(f'{path}: is not a YAML file: {reason}') from None
     values: dict[str, Any] = {}
-    for section in ('/**', node, f'/{node}', f'/**/{node}'):
+    for name in ('/**', node, f'/{node}', f'/**/{node}'):
         if not isinstance(document, dict):
             break
-        content = document.get(section)
-        if isinstance(content, dict) and isinstance(content.get('ros__parameters'), dict):
-            values.update(_flatten(content['ros__parameters']))
+        section = document.get(name)
+        if isinstance(section, dict) and isinstance(section.get('ros__parameters'), dict):
+            values.update(_flatten(section['ros__parameters']))
     if not values:
         raise ConfigError(
             f'{path}: holds no parameters, expected "/**:" with "ros__parameters:" below it'
         )
     return values
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+    """Reads what ROS's own parser of parameters reads: no aliases, no tags but !!str."""
+
+    _depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuse what makes small files grow without bound, and types that are told."""
+        event = self.peek_event()
+        problem = ''
+        if isinstance(event, yaml.AliasEvent):
+            problem = f'the alias *{event.anchor} is not allowed, parameters have none'
+        elif getattr(event, 'tag', None) not in _TAGS:
+            problem = f'the tag {event.tag} is not allowed, must be !!str or none'
+        elif self._depth > _DEEPEST:
+            problem = f'more than {_DEEPEST} levels are not allowed'
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+
+def _read_yaml(text: str) -> Any:
+    """Return what a YAML document holds; raise one of `_UNREADABLE` if it cannot be read."""
+    return yaml.load(text, _Loader)
 
 
 def dump_yaml(*configs: Config, commented: bool = True) -> str:

@@ -270,7 +270,7 @@ def _read_table(
 def _parse(path: Path, line: int, column: _Column, text: str) -> float:
     try:
         return column.parse(text)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise LogError(
             f'{path}:{line}: {column.name} {text!r} is not allowed, must be {column.allowed}'
         ) from None

@@ -286,8 +286,10 @@ def unplaced_note(counts: Mapping[int, int]) -> str:
 def _sender(text: str, is_group: bool) -> int:
     """Return the id that a topic's group or a frame_id names: its last number."""
     numbers = re.findall(r'\d+', text)
-    if numbers and int(numbers[-1]) <= _MAX_ID:
-        return int(numbers[-1])
+    # Python takes no number of more than 4300 digits.
+    digits = numbers[-1].lstrip('0') or '0' if numbers else ''
+    if 0 < len(digits) <= len(str(_MAX_ID)) and int(digits) <= _MAX_ID:
+        return int(digits)
     if is_group:
         raise MessageError(
             f'{text!r} in the name of the topic names no sender, must hold a number')

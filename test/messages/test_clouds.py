@@ -427,3 +427,24 @@ def test_damaged_links_are_refused_or_read_but_nothing_else(noise, at):
         messages.decode_links(bytes(data))
     except MessageError:
         pass
+
+
+def test_more_rows_than_any_radio_hears_are_refused():
+    scan = Observation.empty(1, 2**16 + 1, 3, 1.0)
+    scan.sender[0] = np.arange(2**16 + 1)
+    data, = messages.encode_beacons(scan, 'map')
+    with pytest.raises(MessageError, match='has 65537 rows, must have at most 65536'):
+        messages.decode_beacons(data)
+
+
+def test_more_fields_than_any_row_has_are_refused():
+    fields = [PointField(name='', offset=0, datatype=7, count=1)] * 257
+    with pytest.raises(MessageError, match='has 257 fields, must have at most 256'):
+        messages.decode_beacons(cloud([beacon()], fields=fields))
+
+
+def test_many_rows_of_one_id_are_told_from_another_at_once():
+    rows = [beacon(7)] * 9 + [beacon(3, x=5.0), beacon(7, x=9.0)]
+    error = r'two anchors claim id 7, at \[1.0, 2.0, 3.0\] and at \[9.0, 2.0, 3.0\]'
+    with pytest.raises(MessageError, match=error):
+        messages.decode_beacons(cloud(rows))

@@ -187,18 +187,22 @@ def _encode_scan(stamp: float, frame_id: str, words: Array) -> bytes:
 
 def _check_claims(rows: Array) -> None:
     """Refuse an anchor's id with two positions, or with a vehicle that claims it too."""
-    claims: dict[int, list[float]] = {}
-    for row in rows[rows['kind'] == ANCHOR]:
-        sender, position = int(row['id']), row['position'].tolist()
-        if claims.setdefault(sender, position) != position:
-            raise MessageError(
-                f'two anchors claim id {sender}, at {claims[sender]} and at {position}: '
-                'an id must have one position'
-            )
-    for sender in rows['id'][rows['kind'] == VEHICLE].tolist():
-        if sender in claims:
-            raise MessageError(
-                f'an anchor and a vehicle claim id {sender}: an id must have one sender')
+    anchors = rows[rows['kind'] == ANCHOR]
+    sender, position = anchors['id'], anchors['position']
+    identity, first, which = np.unique(sender, return_index=True, return_inverse=True)
+    differs = (position != position[first[which]]).any(axis=1)
+    if differs.any():
+        at = int(np.argmax(differs))
+        raise MessageError(
+            f'two anchors claim id {sender[at]}, at {position[first[which[at]]].tolist()} and at '
+            f'{position[at].tolist()}: an id must have one position'
+        )
+    vehicles = rows['id'][rows['kind'] == VEHICLE]
+    both = np.isin(vehicles, identity)
+    if both.any():
+        raise MessageError(
+            f'an anchor and a vehicle claim id {vehicles[np.argmax(both)]}: an id must have one '
+            'sender')
 
 
 def _full_covariance(terms: Array) -> Array:

@@ -14,6 +14,9 @@ POINT_CLOUD = 'sensor_msgs/msg/PointCloud2'
 MAX_COORDINATE = 1e5
 """Largest coordinate of a beacon [m]: beyond it FLOAT32 resolves no better than a centimetre."""
 
+MAX_ROWS = 2**16
+"""Most rows of a cloud: no radio hears more, and no map of anchors is larger."""
+
 FAR = f'within {MAX_COORDINATE / 1000:g} km of the origin: use a local origin'
 """What a coordinate must be."""
 
@@ -22,6 +25,7 @@ _DATATYPES = ('INT8', 'UINT8', 'INT16', 'UINT16', 'INT32', 'UINT32', 'FLOAT32', 
 _UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
 _FORMATS = {_UINT8: 'u1', _UINT32: '<u4', _FLOAT32: '<f4', _FLOAT64: '<f8'}
 _MAX_POINT_STEP = 2**16
+_MAX_FIELDS = 256
 
 # Datatypes that a field may have; the first is ours.
 BYTE, NUMBER, FLOAT, COORDINATE = (_UINT8,), (_UINT32,), (_FLOAT32,), (_FLOAT32, _FLOAT64)
@@ -45,6 +49,8 @@ def read_cloud(
             f'data has {size} bytes, must be height {height} x width {width} x point_step '
             f'{layout.itemsize} = {count * layout.itemsize}'
         )
+    if count > MAX_ROWS:
+        raise MessageError(f'has {count} rows, must have at most {MAX_ROWS}')
     return stamp, frame_id, np.frombuffer(data, layout, count, start)
 
 
@@ -90,6 +96,8 @@ def parse_layout(
 
     """
     count, = reader.values('I')
+    if count > _MAX_FIELDS:
+        raise MessageError(f'has {count} fields, must have at most {_MAX_FIELDS}')
     found: dict[str, tuple[int, int]] = {}
     for _ in range(count):
         name = reader.string()

@@ -25,6 +25,9 @@ POSES = (POSE, POSE_STAMPED, ODOMETRY)
 UNMEASURED = 1e6
 """Variance [m^2, rad^2] that stands for 'not measured' in a pose's covariance."""
 
+FURTHEST = 1e8
+"""Largest coordinate of a pose [m]: it may be of any frame on Earth, such as UTM or ECEF."""
+
 TWIST = 6 + 36
 """Doubles of a TwistWithCovariance."""
 
@@ -220,8 +223,10 @@ def encode_pose_array(stamp: float, frame_id: str, particles: Array) -> bytes:
 
 def check_pose(values: Sequence[float]) -> None:
     x, y, z, *quaternion = values
-    if not all(map(math.isfinite, (x, y, z))):
-        raise MessageError(f'position x {x:g}, y {y:g}, z {z:g} is not allowed, must be finite')
+    if not (abs(x) <= FURTHEST and abs(y) <= FURTHEST and abs(z) <= FURTHEST):
+        raise MessageError(
+            f'position x {x:g}, y {y:g}, z {z:g} is not allowed, must be finite and within '
+            f'{FURTHEST:g} m')
     if not 0 < sum(q * q for q in quaternion) < math.inf:
         shown = ' '.join(f'{q:g}' for q in quaternion)
         raise MessageError(f'orientation {shown} is not allowed, must be a quaternion of length 1')

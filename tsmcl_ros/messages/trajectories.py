@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 from tsmcl_ros import cdr
-from tsmcl_ros.messages.poses import check_pose, TWIST, UNMEASURED, yaw_of
+from tsmcl_ros.messages.poses import check_pose, FURTHEST, TWIST, UNMEASURED, yaw_of
 from tsmcl_ros.messages.stamps import join_in_order, naming
 from tsmcl_ros.types import Array, MessageError, Trajectory
 
@@ -109,7 +109,8 @@ def _check_doubles(doubles: Array) -> None:
     """Refuse poses (T, 43) with their covariances that cannot be true, naming the first."""
     with np.errstate(over='ignore', invalid='ignore'):
         length = (doubles[:, 3:7] ** 2).sum(axis=1)
-    wrong = ~(np.isfinite(doubles).all(axis=1) & (length > 0) & np.isfinite(length))
+    near = (np.abs(doubles[:, :3]) <= FURTHEST).all(axis=1)
+    wrong = ~(near & np.isfinite(doubles).all(axis=1) & (length > 0) & np.isfinite(length))
     if wrong.any():
         at = int(np.argmax(wrong))
         with naming(at):

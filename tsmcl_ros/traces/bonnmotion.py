@@ -67,7 +67,7 @@ def _way(name: str, words: list[str], fields: list[str]) -> Way:
     hint = f'expected waypoints of "{" ".join(fields)}"; if they are of {other}, say so'
     if len(words) % len(fields):
         raise Refused(f'has {len(words)} numbers, {hint}')
-    row = np.array([number(word) for word in words]).reshape(-1, len(fields))
+    row = np.fromiter(map(number, words), float, len(words)).reshape(-1, len(fields))
     late = np.diff(row[:, 0]) <= 0
     if late.any():
         before, time = row[late.argmax():, 0][:2]

@@ -19,6 +19,7 @@ from tsmcl_ros.traces.files import opened, place, reading, refuse_few, Refused
 from tsmcl_ros.types import LogError
 
 _CHUNK = 1 << 16
+_LONGEST_ELEMENT = 1 << 20
 
 
 def read_fcd(
@@ -73,6 +74,7 @@ def read_fcd(
     parser.StartDoctypeDeclHandler = steps.refuse_doctype
     parser.StartElementHandler = steps.begin
     parser.EndElementHandler = steps.end
+    taken = 0
     with reading(path, lambda: parser.CurrentLineNumber), opened(path) as stream:
         try:
             while not steps.complete:
@@ -80,9 +82,16 @@ def read_fcd(
                 parser.Parse(chunk, not chunk)
                 if not chunk:
                     break
+                taken += len(chunk)
+                # expat begins anew with what is not complete, at each chunk.
+                if taken - parser.CurrentByteIndex > _LONGEST_ELEMENT:
+                    raise Refused(f'has an element of more than {_LONGEST_ELEMENT} bytes')
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise LogError(f'{path}:{error.lineno}: is not well-formed XML: {reason}') from None
+        except (LookupError, ValueError) as error:
+            # Of Python's codecs, which any XML declaration may name.
+            raise Refused(f'has an encoding that cannot be read, must be UTF-8: {error}') from None
     with reading(path):
         trace = steps.trace(vehicles)
     return place(trace, path, local_origin)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import gzip
+import io
 from io import BufferedIOBase
 import math
+import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 import zlib
 
 import numpy as np
@@ -19,6 +21,11 @@ LARGEST = 1e12  # any time [s], coordinate [m] or speed [m/s]
 FURTHEST = 1e5  # m; beacons carry float32 coordinates, which want a local origin
 _MOST_NUMBERS = 50_000_000  # of a trace in memory, 400 MB
 _GZIP_MAGIC = b'\x1f\x8b'
+# Traces shrink to a tenth; a few bytes may as well stand for gigabytes.
+_MOST_SHRUNK = 50
+_ALWAYS_FINE = 2**20  # bytes
+_CHUNK = 2**16  # bytes
+_LONGEST_LINE = 2**21  # bytes; a node's waypoints of many hours
 
 
 class Refused(Exception):
@@ -44,12 +51,32 @@ class Way(NamedTuple):
     position: Array
 
 
+class _Unpacked(io.RawIOBase):
+    """What a compressed file holds; raises Refused if that is beyond measure."""
+
+    def __init__(self, packed: BufferedIOBase) -> None:
+        super().__init__()
+        self._file = gzip.GzipFile(fileobj=packed)
+        self._left = _ALWAYS_FINE + _MOST_SHRUNK * os.fstat(packed.fileno()).st_size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        count = self._file.readinto(buffer)
+        self._left -= count
+        if self._left < 0:
+            raise Refused(
+                f'unpacks to more than {_MOST_SHRUNK} times its size, which no trace does')
+        return count
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[BufferedIOBase]:
     """Open a file that may be compressed; its name does not matter."""
     with path.open('rb') as raw:
         if raw.peek(2)[:2] == _GZIP_MAGIC:
-            with gzip.GzipFile(fileobj=raw) as unpacked:
+            with io.BufferedReader(_Unpacked(raw), _CHUNK) as unpacked:
                 yield unpacked
         else:
             yield raw
@@ -89,8 +116,12 @@ class Lines:
         self.number = 0
 
     def __iter__(self) -> Iterator[str]:
+        self.number = 0
         with reading(self._path, lambda: self.number), opened(self._path) as stream:
-            for self.number, line in enumerate(stream, 1):
+            while line := stream.readline(_LONGEST_LINE + 1):
+                self.number += 1
+                if len(line) > _LONGEST_LINE:
+                    raise Refused(f'is longer than {_LONGEST_LINE} bytes, as no line may be')
                 text = line.decode().strip()
                 if text and not text.startswith('#'):
                     yield text

@@ -12,8 +12,8 @@ from tsmcl_ros.model.mobility import Trace
 from tsmcl_ros.traces.files import LARGEST, Lines, meet, number, place, reading, Refused, Way
 from tsmcl_ros.types import Array
 
-_SET = re.compile(r'\$node_\((\d+)\) set ([XYZ])_ (\S+?)\s*;?')
-_SETDEST = re.compile(r'\$ns_? at (\S+) "\$node_\((\d+)\) setdest ((?:\S+ ){2,3})(\S+?)"\s*;?')
+_SET = re.compile(r'\$node_\((\d{1,9})\) set ([XYZ])_ (\S+?)\s*;?')
+_SETDEST = re.compile(r'\$ns_? at (\S+) "\$node_\((\d{1,9})\) setdest ((?:\S+ ){2,3})(\S+?)"\s*;?')
 _GOD = re.compile(r'(\$ns_? at \S+ ")?\$god_ .*')  # distances in hops, for ns-2 alone
 
 
