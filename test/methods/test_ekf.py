@@ -176,6 +176,7 @@ def test_power_alone_places_and_tracks_a_vehicle() -> None:
 def test_a_vehicle_that_drives_out_of_a_disk_is_not_left_behind() -> None:
     filter_ = make(1, 2, {'motion_model': 'odometry', 'odom_heading': 'known'})
     where = np.zeros(2)
+    starts = np.random.default_rng(1).uniform(-510, 510, (100_000, 2))
     for step in range(30):
         observation = Observation.empty(1, 1, 2, float(step))
         observation.sender[:] = 1
@@ -185,9 +186,13 @@ def test_a_vehicle_that_drives_out_of_a_disk_is_not_left_behind() -> None:
             filter_.predict(Motion(1.0, np.array([[30.0, 0.0]]), np.zeros(1)))
             where = where + [30.0, 0.0]
         estimate = filter_.update(observation)
-    # Driving from disk to disk has told how far along it is, but nothing of how far aside.
+        starts = starts[np.linalg.norm(
+            starts + where - observation.position[0, 0], axis=1) < 510.0]
+    # Driving from disk to disk has told how far along it is, and less of how far aside.
     spread = np.sqrt(np.diagonal(estimate.covariance[0]))
-    assert abs(estimate.mean[0, 0] - where[0]) < 2 * spread[0] < 200.0 < spread[1]
+    assert abs(estimate.mean[0, 0] - where[0]) < 2 * spread[0] < 200.0
+    assert spread[0] < spread[1]
+    assert (spread > starts.std(axis=0)).all()
 
 
 def test_the_period_follows_the_residual() -> None:

@@ -24,6 +24,7 @@ from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.kernel import Kernel
 from tsmcl_ros.model.motion import MotionModel, RandomMotion
 from tsmcl_ros.model.particles import (
+    best_bandwidth,
     effective_sample_size,
     even_resample,
     normalize,
@@ -68,6 +69,7 @@ class RMcl(RedrawingFilter):
         self.config = config
         self._mean = np.full((vehicles, dimension), np.nan)
         self._step = np.zeros((vehicles, dimension), np.float32)
+        self._measured = np.zeros(vehicles, bool)
 
     def start(self, prior: Prior) -> None:
         """Replace one vehicle's belief by a prior, which nothing is extrapolated to."""
@@ -91,6 +93,7 @@ class RMcl(RedrawingFilter):
         which = self.cloud.placed & evidence.heard & self.predicted
         self.predicted[:] = False
         self.cloud.place(evidence)
+        self._measured = self.channel.measured(observation).any(axis=1)
         explained = self.sample(evidence, which)
         starved = which & ~np.isfinite(explained)
         if starved.any():
@@ -132,7 +135,7 @@ class RMcl(RedrawingFilter):
             vehicle, parent = vehicle[fits], parent[fits]
             posterior, total = normalize(likelihood[fits])
             explained[vehicle] = total - np.log(parent.shape[1])
-            self._keep(vehicle, states[fits], posterior)
+            self._keep(vehicle, states[fits], posterior, parent)
             few = _sources(parent, posterior, weights.shape[1]) < self.config.least_parents
             vehicle, kernel = vehicle[few], kernel.widened(2.0)
         return explained
@@ -163,15 +166,28 @@ class RMcl(RedrawingFilter):
         likelihood[valid] = evidence.log_likelihood_of(states[valid, :dimension], owner[valid])
         return (parent, states.reshape(*parent.shape, -1), likelihood.reshape(parent.shape))
 
-    def _keep(self, vehicle: Array, states: Array, posterior: Array) -> None:
-        """Draw the particles of vehicles (W,) from candidates (W, C, D + extra) by weight."""
+    def _keep(self, vehicle: Array, states: Array, posterior: Array, parent: Array) -> None:
+        """
+        Draw the particles of vehicles (W,) from candidates (W, C, D + extra) by weight.
+
+        Where nothing was measured, candidates lie in clumps around their parents (W, C), cut by
+        hard edges. So that no clump dies by chance each gets its share, and siblings part as far
+        as is best for the density that they stand for.
+        """
         cloud, dimension = self.cloud, self.cloud.dimension
-        index = even_resample(
-            states[:, :, :dimension], posterior, cloud.weights.shape[1], self.rng)
+        count = cloud.weights.shape[1]
+        index = even_resample(states[:, :, :dimension], posterior, count, self.rng)
+        copy = np.diff(index, axis=1, prepend=-1) == 0
+        width = np.full(len(vehicle), self.config.jitter)
+        clumped = ~self._measured[vehicle]
+        if clumped.any():
+            index[clumped] = systematic_resample(posterior[clumped], count, self.rng)
+            source = np.take_along_axis(parent, index, axis=1)
+            copy[clumped] = (np.diff(source, axis=1, prepend=-1) == 0)[clumped]
+            width[clumped] = np.maximum(width[clumped], best_bandwidth(count, dimension))
         kept = np.take_along_axis(states, index[:, :, None], axis=1)
         position = kept[:, :, :dimension]
-        copy = np.diff(index, axis=1, prepend=-1) == 0
-        noise = self.config.jitter * spread(position)[:, None] * copy
+        noise = (width * spread(position))[:, None] * copy
         position += noise[:, :, None] * self.rng.standard_normal(position.shape, np.float32)
         cloud.states[vehicle] = kept
         cloud.weights[vehicle] = 1 / cloud.weights.shape[1]

@@ -165,6 +165,12 @@ class Beliefs:
         self.mean, self.covariance = mean, covariance
         self._count(used, fit, fit)
 
+    def count(self, vehicle: Array, log_likelihood: Array, fit: Array, terms: Array) -> None:
+        """Count what vehicles (W,) int have taken in otherwise: see the class (W,)."""
+        self.log_likelihood[vehicle] += log_likelihood
+        self.fit[vehicle] += fit
+        self.terms[vehicle] += terms
+
     def keep(self, which: Array, mean: Array, covariance: Array) -> None:
         """Give the vehicles (V,) bool these beliefs (V, n), (V, n, n) back."""
         self.mean = np.where(which[:, None], mean, self.mean)

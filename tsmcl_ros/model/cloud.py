@@ -11,6 +11,7 @@ from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import (
+    best_bandwidth,
     chunks,
     effective_sample_size,
     even_resample,
@@ -264,8 +265,17 @@ class Cloud:
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
-    def resample(self) -> None:
-        """Resample the clouds whose effective sample size has fallen too low."""
+    def resample(self, broadly: Array | None = None) -> None:
+        """
+        Resample the clouds whose effective sample size has fallen too low.
+
+        Parameters
+        ----------
+        broadly : (V,) bool, optional
+            Vehicles that nothing but resampling spreads, where hard edges have cut their clouds:
+            their copies part as far as is best for the density that they stand for.
+
+        """
         count = self.weights.shape[1]
         low = self.placed & (
             effective_sample_size(self.weights) < self.config.resample_threshold * count)
@@ -275,7 +285,11 @@ class Cloud:
         states = np.take_along_axis(self.states[low], index[:, :, None], axis=1)
         position = states[:, :, :self.dimension]
         noise = self.rng.standard_normal(position.shape, np.float32)
-        position += np.float32(self.config.jitter) * spread(position)[:, None, None] * noise
+        width = np.full(len(position), self.config.jitter, np.float32)
+        if broadly is not None:
+            width[broadly[low]] = np.maximum(
+                self.config.jitter, best_bandwidth(count, self.dimension))
+        position += (width * spread(position))[:, None, None] * noise
         self.states[low] = states
         self._equalize(low)
 

@@ -120,7 +120,9 @@ class CooperativeFilter(ParticleFilter):
         # Who is placed by this very evidence, however unlikely, has no belief that it excludes.
         self.cloud.weigh(self.cloud.recover(evidence, log_likelihood, spared=new))
         estimate = self.cloud.estimate(observation)
-        self.cloud.resample()
+        unranged = np.zeros(len(new), bool)
+        unranged[rest] = True
+        self.cloud.resample(unranged)
         return replace(estimate, covariance=estimate.covariance
                        + unsettled[:, :, None] * unsettled[:, None, :])
 

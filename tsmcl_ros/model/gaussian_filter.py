@@ -4,7 +4,8 @@ Extended Kalman filter on whatever a channel offers: what all methods with Gauss
 Placed by linearised least squares, moved by constant velocity for whatever time has passed (or by
 odometry), updated in Joseph form. Ranges are expected to second order, so that broad beliefs are
 honest; a measurement counts as much as it is likely to be sound; rssi is a range on a log scale;
-and who was merely heard, or was silent, bounds the range. Where ranges cannot place a vehicle, the
+and who was merely heard, or was silent, bounds the range, or weighs the belief's points where
+nothing is measured. Where ranges cannot place a vehicle, the
 moments of all evidence do.
 """
 
@@ -13,18 +14,22 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from tsmcl_ros.model import gaussian
 from tsmcl_ros.model.belief import Beliefs
 from tsmcl_ros.model.bounds import bounds
 from tsmcl_ros.model.cloud import RecoveryConfig
 from tsmcl_ros.model.kinematics import kinematics_of
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.particles import moments, normalize
+from tsmcl_ros.model.particles import effective_sample_size, moments, normalize
 from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.sampling import even_shares
 from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Points at which the evidence that places a vehicle is looked at.
 _POINTS = 2048
+_NEWS = 1.2
+_DRAWN = 512  # points of a belief that evidence without a measurement weighs
 
 
 class GaussianFilter:
@@ -62,6 +67,7 @@ class GaussianFilter:
                                channel.switches.outlier_fraction)
         self.placed = np.zeros(vehicles, bool)
         self._doubts = np.zeros(vehicles, int)
+        self._moved = np.zeros(vehicles)
 
     @property
     def particles(self) -> Array:
@@ -85,8 +91,13 @@ class GaussianFilter:
     def predict(self, motion: Motion) -> None:
         """Move the beliefs by the motion since the last epoch."""
         beliefs = self.beliefs
+        mean, covariance = self.moments()
         beliefs.mean, beliefs.covariance = self.kinematics.predict(
             beliefs.mean, beliefs.covariance, motion)
+        moved, wider = (now - then for now, then in zip(
+            self.moments(), (mean, covariance), strict=True))
+        self._moved += np.sqrt(np.square(moved).sum(axis=1) + np.maximum(
+            np.trace(wider, axis1=1, axis2=2), 0))
 
     def take_in(self, observation: Observation) -> Array:
         """
@@ -102,8 +113,12 @@ class GaussianFilter:
         known = self.placed & heard
         before = self.beliefs.mean, self.beliefs.covariance
         self.beliefs.begin()
+        measured = self.channel.measured(observation)
+        vague = known & ~measured.any(axis=1)
         self._measure(observation, known)
-        self._bound(observation, known)
+        self._bound(observation, known & ~vague, measured)
+        if vague.any():
+            self._weigh(np.flatnonzero(vague), observation)
         lost = self._lost(known)
         self.beliefs.keep(lost, *before)
         self._locate(np.flatnonzero((heard & ~self.placed) | lost), observation)
@@ -142,9 +157,54 @@ class GaussianFilter:
                     used, self.beliefs.sight(*reference).on_log_scale(), measured[:, row],
                     (loss.sigma[:, row] / (10 * loss.exponent[:, row])) ** 2)
 
-    def _bound(self, observation: Observation, known: Array) -> None:
+    def _weigh(self, vehicle: Array, observation: Observation) -> None:
+        """
+        Take in what vehicles (W,) int heard that measured nothing, as a Gaussian particle filter.
+
+        Beliefs as wide as radios reach know no gradient: what lies beside a disk lies on all its
+        sides. So points of the belief are weighed (Kotecha and Djuric 2003).
+        """
+        beliefs, size = self.beliefs, self.dimension
+        evidence = self.channel.evidence(observation)
+        mean, covariance = beliefs.mean[vehicle], beliefs.covariance[vehicle]
+        known = covariance[:, :size, :size]
+        share = even_shares(np.arange(_DRAWN), len(vehicle), size, self.rng)
+        drawn = scipy.special.ndtri(np.clip(share, 1e-6, 1 - 1e-6))
+        points = (mean[:, None, :size] + drawn @ np.swapaxes(
+            np.linalg.cholesky(known), 1, 2)).astype(np.float32)
+        likelihood = evidence.log_likelihood_of(
+            points.reshape(-1, size), np.repeat(vehicle, _DRAWN))
+        likelihood = likelihood.reshape(len(vehicle), -1)
+        best, terms = likelihood.max(axis=1), evidence.terms[vehicle]
+        weights, total = normalize(likelihood)
+        place, spread = moments(points, weights, error=1 / effective_sample_size(weights))
+        # What comes with the position follows it as far as they belong together.
+        gain = np.swapaxes(np.linalg.solve(known, covariance[:, :size]), 1, 2)
+        news = self._news(vehicle)
+        place = mean[:, :size] + news * (place - mean[:, :size])
+        spread = known + news[:, :, None] * (spread - known)
+        beliefs.mean, beliefs.covariance = beliefs.mean.copy(), beliefs.covariance.copy()
+        beliefs.mean[vehicle] = mean + np.einsum('wni,wi->wn', gain, place - mean[:, :size])
+        beliefs.covariance[vehicle] = covariance + gain @ (spread - known) @ np.swapaxes(
+            gain, 1, 2)
+        beliefs.count(vehicle, total - np.log(_DRAWN), best, terms)
+
+    def _news(self, vehicle: Array) -> Array:
+        """
+        Return how much of what vehicles (W,) int hear is news, (W, 1) from 0 to 1.
+
+        A Gaussian forgets where it was cut, and must not be cut by the same edges again. So only
+        the way is news that the edges have moved on since, against the belief's mean width. The
+        factor is a compromise: with 1 beliefs are honest and slow, with 2 fast and too certain.
+        """
+        size = self.dimension
+        volume = np.linalg.det(self.beliefs.covariance[vehicle, :size, :size])
+        news = np.minimum(_NEWS * self._moved[vehicle] / volume ** (1 / (2 * size)), 1)
+        self._moved[vehicle] = 0
+        return np.asarray(news[:, None])
+
+    def _bound(self, observation: Observation, known: Array, measured: Array) -> None:
         """Take in who was heard without being measured, and who was silent."""
-        measured = self.channel.distances(observation)[2] | self.channel.powered(observation)
         bound = bounds(self.channel, observation, measured)
         # Ranges make silence superfluous.
         used = bound.used & known[:, None] & ~(
@@ -204,4 +264,4 @@ class GaussianFilter:
         """Give vehicles (W,) int new beliefs."""
         self.beliefs.place(vehicle, mean, covariance, self.kinematics.begin(prior))
         self.placed[vehicle] = True
-        self._doubts[vehicle] = 0
+        self._doubts[vehicle] = self._moved[vehicle] = 0

@@ -101,6 +101,16 @@ def even_resample(points: Array, weights: Array, count: int, rng: np.random.Gene
     return np.take_along_axis(order, index, axis=1)
 
 
+def best_bandwidth(count: int, dimension: int) -> float:
+    """
+    Return the width of kernels that best estimate a normal density from so many particles.
+
+    In standard deviations of the cloud; as regularized particle filters spread what they resample
+    (Silverman 1986; Musso, Oudjane, Le Gland 2001).
+    """
+    return float((4 / (count * (dimension + 2))) ** (1 / (dimension + 4)))
+
+
 def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
     """
     Return the mean of Gaussian kernels at points (V, P, D), (V, P) float32 above 0.
