@@ -183,7 +183,8 @@ def test_a_pose_as_rviz_sends_it_is_read():
     ({'qw': 0.0}, 'orientation 0 0 0 0 is not allowed, must be a quaternion'),
     ({'qx': math.nan}, 'orientation nan 0 0 1 is not allowed'),
     ({'qx': 1e200}, r'orientation 1e\+200 0 0 1 is not allowed'),
-    ({'c0': math.nan}, 'pose.covariance is not allowed'),
+    ({'c0': math.nan}, 'pose.covariance is not allowed, must be finite, symmetric and positive '
+                       'semidefinite'),
     ({'c0': -1.0}, 'pose.covariance is not allowed'),
     ({'c1': 0.1}, 'pose.covariance is not allowed'),
     ({'c1': 1.0, 'c6': 1.0}, 'pose.covariance is not allowed'),

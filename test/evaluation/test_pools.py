@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import closing
 import json
 from pathlib import Path
@@ -15,7 +16,7 @@ from distributed import Client, LocalCluster
 import pytest
 from tsmcl_ros.evaluation.experiments import EXPERIMENTS
 from tsmcl_ros.evaluation.monte_carlo import Result, run_experiment
-from tsmcl_ros.evaluation.pools import Cluster
+from tsmcl_ros.evaluation.pools import Cluster, Processes
 from tsmcl_ros.scripts.experiment import main
 from tsmcl_ros.types import TsmclError
 
@@ -61,6 +62,24 @@ def test_what_kills_every_worker_is_one_clear_error(scheduler: str) -> None:
         run_experiment(Dies(), 0, 1, Cluster(scheduler))
 
 
+def test_a_scheduler_that_goes_meanwhile_is_one_clear_error(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    def cancel(*_: object) -> None:
+        raise CancelledError
+
+    monkeypatch.setattr('tsmcl_ros.evaluation.pools._as_they_come', cancel)
+    with local_cluster(n_workers=1, threads_per_worker=1, processes=False) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(TsmclError, match=f'the scheduler at {address} has gone'):
+            run_experiment(Draws(), 0, 1, Cluster(address))
+
+
+def test_a_process_of_this_machine_that_is_killed_is_one_clear_error() -> None:
+    error = 'a process was killed, perhaps for lack of memory: try fewer workers, now 2'
+    with pytest.raises(TsmclError, match=error):
+        run_experiment(Dies(), 0, 1, Processes(2))
+
+
 def test_who_has_seen_enough_leaves_nothing_to_the_workers(scheduler: str) -> None:
     with closing(Cluster(scheduler)(once, {step: (step,) for step in range(2000)})) as results:
         next(results)
@@ -100,7 +119,8 @@ def test_a_cluster_that_cannot_do_it_is_told_what_to_mend(
     ('nonsense', 'nonsense is not allowed, must be tcp://HOST:PORT'),
     ('tcp://here:x', 'tcp://here:x is not allowed'),
     ('udp://127.0.0.1:9', 'udp://127.0.0.1:9 is not allowed'),
-    ('tcp://127.0.0.1:9', r"answers at tcp://127.0.0.1:9 \(Connection refused\): 'dask sched"),
+    ('tcp://127.0.0.1:9', r"no scheduler answers at tcp://127.0.0.1:9 \(Connection refused\): "
+     "'dask scheduler' starts one and prints its address"),
 ])
 def test_an_address_without_a_scheduler_is_one_clear_error(address: str, reason: str) -> None:
     with pytest.raises(TsmclError, match=reason):

@@ -256,7 +256,8 @@ def test_a_bag_without_ground_truth_is_refused_saying_what_it_holds(walk):
 def test_a_bag_whose_poses_and_truths_do_not_belong_together_is_refused(walk):
     bag = walk({'/a/pose': estimate(), '/b/ground_truth': truth()})
 
-    with pytest.raises(BagError, match='found /a/pose and /b/ground_truth'):
+    with pytest.raises(BagError, match='no pose belongs to a ground truth: found /a/pose and '
+                       '/b/ground_truth, needed is one of each in the same namespace'):
         read_runs(bag)
 
 

@@ -30,8 +30,8 @@ def _cloud(rng: Random, names: list[str]) -> bytes:
          'offsets': [min(offset, step) for offset in offsets], 'itemsize': step + 16}))
     for name in names:
         if name in ('id', 'peer_id'):
-            rows[name] = rng.sample(range(len(rows) + 3), len(rows)) \
-                if rng.random() < 0.7 else rng.choice((0, 7, 99))
+            rows[name] = np.array(
+                rng.sample(range(len(rows) + 3), len(rows)), int) if rng.random() < 0.7 else 7
         elif name in ('kind', 'hops'):
             rows[name] = rng.choice((0, 1, 1, 2, 255)) % 128
         elif not name.startswith('cov') or rng.random() < 0.2:

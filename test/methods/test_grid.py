@@ -276,7 +276,8 @@ def test_an_area_that_is_none_is_refused(area: dict[str, float]) -> None:
 
 
 def test_three_dimensions_are_refused() -> None:
-    with pytest.raises(ConfigError, match='dimension: 3 is not allowed .* must be 2'):
+    error = 'dimension: 3 is not allowed for method grid, must be 2'
+    with pytest.raises(ConfigError, match=error):
         grid(dimension=3)
 
 

@@ -24,7 +24,7 @@ from tsmcl_ros.nodes.runtime import (
     SENSOR_DATA,
     SETTLING,
 )
-from tsmcl_ros.types import BagError, Odometry
+from tsmcl_ros.types import BagError, MessageError, Odometry
 from tsmcl_ros.world import anchor_table
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -93,6 +93,12 @@ def test_a_best_effort_burst_of_many_topics_is_recorded_without_loss(
     with Reader(tmp_path / 'bag') as bag:
         assert set(bag.counts.values()) == {20}
         assert len(bag.counts) == 40
+
+
+def test_a_topic_of_several_types_is_refused() -> None:
+    # One participant of DDS cannot have both.
+    with pytest.raises(MessageError, match='it has several types, a/msg/A, b/msg/B'):
+        Recorder._subscribe(None, '/twofold', ['a/msg/A', 'b/msg/B'], RELIABLE)
 
 
 def test_a_bag_says_by_which_command_and_parameters_it_was_recorded(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.nodes.runtime import LATCHED, main, SENSOR_DATA
-from tsmcl_ros.nodes.simulator import Simulator
-from tsmcl_ros.types import Observation
+from tsmcl_ros.nodes.simulator import Air, Simulator
+from tsmcl_ros.types import MessageError, Observation
 from tsmcl_ros.world import anchor_table, make_world
 
 Start = Callable[..., Any]
@@ -194,3 +194,11 @@ def test_a_parameter_that_is_not_allowed_is_one_line_and_exit_code_1(
     error = capfd.readouterr().err
     assert error.startswith(f'simulator: {complaint}')
     assert len(error.splitlines()) == 1
+
+
+def test_a_beacon_of_several_rows_is_refused() -> None:
+    scan = Observation.empty(1, 2, 3, 1.0)
+    scan.sender[0] = 1, 2
+    data, = messages.encode_beacons(scan, 'map')
+    with pytest.raises(MessageError, match='2 rows are not allowed, a beacon has one'):
+        Air(range(0)).beacon(data)

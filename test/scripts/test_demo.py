@@ -6,11 +6,14 @@ import os
 from pathlib import Path
 import signal
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from tsmcl_ros.bag import Reader
+from tsmcl_ros.scripts import demo as script
 from tsmcl_ros.scripts.demo import main
+from tsmcl_ros.types import TsmclError
 
 Start = Callable[..., Any]
 SMALL = ('--vehicles', '3', '--rate', '10', '--out', 'demo')
@@ -121,3 +124,28 @@ def test_values_that_make_no_sense_are_wrong_usage(arguments: list[str]) -> None
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
+
+
+def test_that_no_domain_is_left_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Taken:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def bind(self, _: str) -> None:
+            raise OSError
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(script.socket, 'socket', Taken)
+    with pytest.raises(TsmclError, match='all 101 ROS domains are in use by other demos'):
+        script._free_domain()
+
+
+def test_nodes_that_do_not_meet_are_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(script, '_START_PATIENCE', 0.0)
+    watch = SimpleNamespace(spin=lambda *_: False)
+    processes = SimpleNamespace(check=lambda: None, folder='logs')
+    error = 'the nodes have not found each other within 0 s, what they say is in logs'
+    with pytest.raises(TsmclError, match=error):
+        script._await(processes, watch, lambda: False)

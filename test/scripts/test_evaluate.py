@@ -195,7 +195,8 @@ def test_bags_whose_folders_share_a_name_go_by_their_paths(walk):
 
 
 def test_labels_that_would_share_files_are_refused(walk):
-    with pytest.raises(BagError, match="'x y' and 'x_y'"):
+    with pytest.raises(BagError, match="two runs are called 'x y' and 'x_y': give each bag "
+                                       'a --label of its own'):
         read_all([walk('a'), walk('b')], ['x y', 'x_y'])
 
 

@@ -149,7 +149,8 @@ def test_too_few_vehicles_are_refused(three) -> None:
 
 @pytest.mark.parametrize('start', [-1, 3.5])
 def test_a_start_outside_of_the_file_is_refused(three, start) -> None:
-    with pytest.raises(LogError, match=f'start, {start} s: it lasts from 0 s to 3 s'):
+    with pytest.raises(LogError, match=f'holds nothing at the wanted start, {start} s: it '
+                                       'lasts from 0 s to 3 s'):
         read_fcd(three, 1, start=start)
 
 
@@ -198,7 +199,7 @@ def test_other_road_users_and_elements_are_passed_over(write) -> None:
     ([step(0, vehicle('a', y='1e999'))], ":2: y='1e999' of <vehicle> is not a finite"),
     (['<timestep/>'], ':2: <timestep> has no time'),
     ([step('00:00:01')], ":2: time='00:00:01' of <timestep> is not a finite number"),
-    ([step(1), step(0.5)], ':3: time 0.5 s does not come after 1 s'),
+    ([step(1), step(0.5)], ':3: time 0.5 s does not come after 1 s, expected time steps in order'),
     ([step(1), step(1)], ':3: time 1 s does not come after 1 s'),
     ([step(0, vehicle('a'), vehicle('a'))], ":2: vehicle 'a' appears twice in the time step 0 s"),
     ([vehicle('a')], ':2: <vehicle> stands outside of a <timestep>'),
