@@ -38,7 +38,8 @@ class TsmclError(Exception):
     ----------
     text : str
         What is wrong. Files and messages that it quotes may hold anything: it becomes one line of
-        bounded length, in which what cannot be printed is escaped, so that it forges no log.
+        bounded length, in which line breaks are spaces and what else cannot be printed is
+        escaped, so that it forges no log.
 
     """
 
@@ -51,6 +52,7 @@ def one_line(text: str) -> str:
     text = _shortened(text)
     if text.isprintable():
         return text
+    text = ' '.join(text.splitlines())
     return _shortened(''.join(
         letter if letter.isprintable() else letter.encode('unicode_escape').decode()
         for letter in text))
