@@ -51,3 +51,9 @@ def test_diagnostics_that_are_damaged_or_go_back_in_time_are_passed_over():
     rows = [told(3.0), b'\0\1\0\0nonsense', told(2.0, 1), told(4.0, 2)]
 
     assert read_conditions(rows, 0, 9)['/veh_0'].level.tolist() == [0, 2]
+
+
+def test_what_is_no_id_is_no_suspect():
+    rows = [told(1.0, suspects=f'{"9" * 5000}, -7, 0x7, 7')]
+
+    assert read_conditions(rows, 0, 9)['/veh_0'].suspects == {7: 1.0}

@@ -55,4 +55,4 @@ def _live(data: bytes) -> None:
             raise refused
 
 
-TARGETS = (Target('live', _live, _messages, share=0.5),)
+TARGETS = (Target('live', _live, _messages, share=0.25),)

@@ -6,6 +6,7 @@ from random import Random
 
 from harness import number, Target, text
 from tsmcl_ros import cdr, messages
+from tsmcl_ros.evaluation.condition import read_conditions
 from tsmcl_ros.messages import Diagnosis
 
 
@@ -18,13 +19,21 @@ def _range(rng: Random) -> bytes:
     return writer.finish()
 
 
+def _diagnosed(data: bytes) -> None:
+    """Evaluate what a vehicle said of itself."""
+    messages.decode_diagnostics(data)
+    read_conditions([data], 0.0, 1e9)
+
+
 def _diagnostics(rng: Random) -> bytes:
     return messages.encode_diagnostics(rng.uniform(0, 100), [
         Diagnosis(rng.randrange(4), text(rng), text(rng), text(rng),
-                  {text(rng, f'{key}'): text(rng) for key in range(rng.randrange(4))})
+                  {rng.choice(_KEYS): text(rng, rng.choice(('7', '3, 12')))
+                   for _ in range(rng.randrange(4))})
         for _ in range(rng.randrange(4))])
 
 
+_KEYS = ('suspects', 'particles', 'effective particles', 'x')
 _FORMS = ('B', 'I', 'd', 'iI', '3f', '7d', '?', 'Q')
 
 
@@ -55,6 +64,6 @@ TARGETS = (
            lambda rng: messages.encode_clock(rng.uniform(0, 1e9)), share=4),
     Target('period', messages.decode_period,
            lambda rng: messages.encode_period(rng.randrange(2**32)), share=3),
-    Target('diagnostics', messages.decode_diagnostics, _diagnostics, share=5),
+    Target('diagnostics', _diagnosed, _diagnostics, share=5),
     Target('cdr', _read, _plain, share=6),
 )

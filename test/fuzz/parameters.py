@@ -67,8 +67,8 @@ def _remap(data: bytes) -> None:
 
 
 TARGETS = (
-    Target('yaml', _load, _file, [value.encode() for value in _SCALARS], 1.5),
-    Target('override', _parse, _override, (b'[', b']', b'{', b'\n', b': ', b'!!', b'&a'), 2),
+    Target('yaml', _load, _file, [value.encode() for value in _SCALARS], 0.4),
+    Target('override', _parse, _override, (b'[', b']', b'{', b'\n', b': ', b'!!', b'&a'), 0.6),
     Target('remapping', _remap, lambda rng: f'beacons:={text(rng, "/uwb/scan")}'.encode(),
            (b':=', b'\n', b'/', b'~', b'__ns', b'('), 1),
 )

@@ -11,6 +11,8 @@ import numpy as np
 from tsmcl_ros.messages import decode_diagnostics, Diagnosis
 from tsmcl_ros.types import Array, MessageError
 
+_LONGEST_ID = 12  # characters, with a space before it
+
 
 @dataclass(frozen=True, eq=False)
 class Condition:
@@ -72,7 +74,7 @@ def _condition(known: list[tuple[float, Diagnosis]]) -> Condition:
     counts: dict[int, int] = defaultdict(int)
     for _, one in known:
         for word in one.values.get('suspects', '').split(','):
-            if word.strip().isdecimal():
+            if len(word) <= _LONGEST_ID and word.strip().isdecimal():
                 counts[int(word)] += 1
     return Condition(
         np.array([stamp for stamp, _ in known]),
