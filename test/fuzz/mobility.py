@@ -16,7 +16,7 @@ def _read(data: bytes, elevation: bool = False) -> None:
     path = _folder / 'trace'
     way, data = (data or b'\0')[0], data[1:]
     path.write_bytes(gzip.compress(data, 1) if way & 4 else data)
-    if way & 32:
+    if way & 56 == 56:
         path.write_bytes(path.read_bytes()[:-9])
     follow('trace', TraceConfig(
         trace=str(path), trace_start=1.0, trace_duration=float(way >> 6),
@@ -58,7 +58,7 @@ def _bonnmotion(rng: Random) -> bytes:
     width = rng.choice((2, 3))
     return _way(rng, '\n'.join(
         ' '.join(f'{time} ' + ' '.join(f'{number(rng):g}' for _ in range(width))
-                 for time in range(rng.randrange(1, 6)))
+                 for time in range(rng.randrange(3, 7)))
         for _ in range(3)))
 
 

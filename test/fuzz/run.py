@@ -11,21 +11,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-import importlib
-import multiprocessing
 from pathlib import Path
 import subprocess
 import sys
 import time
 
-from harness import fuzz, HEADINGS, Outcome, Target, try_one
+from campaign import run, table, TARGETS
+from harness import Outcome, try_one
 from tsmcl_ros.scripts.cli import align
-
-MODULES = ('clouds', 'poses', 'others', 'logs', 'mobility', 'parameters', 'bags', 'live')
-TARGETS: dict[str, Target] = {
-    target.name: target for module in MODULES
-    for target in importlib.import_module(module).TARGETS}
 
 
 def main() -> int:
@@ -67,22 +60,6 @@ def main() -> int:
     return int(any(outcome.crashes for outcome in outcomes.values()))
 
 
-def run(names: Sequence[str], inputs: int, seed: int) -> dict[str, Outcome]:
-    """Fuzz some targets, each in a process of its own."""
-    whole = sum(TARGETS[name].share for name in names)
-    outcomes = {}
-    for name in names:
-        with ProcessPoolExecutor(1, multiprocessing.get_context('fork')) as pool:
-            count = max(round(inputs * TARGETS[name].share / whole), 1)
-            outcomes[name] = pool.submit(_fuzz, name, count, seed).result()
-    return outcomes
-
-
-def table(outcomes: dict[str, Outcome]) -> list[list[str]]:
-    """Return what came of it, a row a target."""
-    return [HEADINGS, *(outcome.row(name) for name, outcome in outcomes.items())]
-
-
 def by_coverage(names: Sequence[str], inputs: int, seed: int, out: Path) -> int:
     """Have libFuzzer run each target so often; it stops at the first crash, and says so."""
     code = 0
@@ -96,10 +73,6 @@ def by_coverage(names: Sequence[str], inputs: int, seed: int, out: Path) -> int:
               f'{time.monotonic() - begin:.0f} s {"".join(last)}', flush=True)
         code |= found.returncode
     return int(code != 0)
-
-
-def _fuzz(name: str, inputs: int, seed: int) -> Outcome:
-    return fuzz(TARGETS[name], inputs, seed)
 
 
 if __name__ == '__main__':
