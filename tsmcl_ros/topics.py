@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 import re
+import warnings
 
 from tsmcl_ros.types import ConfigError
 
@@ -21,8 +22,11 @@ def compiled(parameter: str, patterns: Iterable[str]) -> list[re.Pattern[str]]:
     expressions = []
     for pattern in patterns:
         try:
-            expressions.append(re.compile(pattern))
-        except re.error as error:
+            with warnings.catch_warnings():
+                # Of what future versions of Python may take patterns for.
+                warnings.simplefilter('ignore', FutureWarning)
+                expressions.append(re.compile(pattern))
+        except (re.error, OverflowError, RecursionError) as error:
             raise ConfigError(
                 f'{parameter}: {pattern!r} is not allowed, must be a topic or a regular '
                 f'expression: {error}'
