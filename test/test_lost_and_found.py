@@ -12,6 +12,7 @@ from tsmcl_ros.config import load_yaml
 from tsmcl_ros.evaluation.metrics import chi_squared_quantile, normalized_error_squared
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.health import LOST, OK
+from tsmcl_ros.types import Observation, PADDED, Prior
 from tsmcl_ros.world import anchor_table, AnchorConfig, lay_out, make_world
 
 pytestmark = pytest.mark.accuracy
@@ -103,23 +104,91 @@ def test_who_lies_about_its_position_is_suspected_and_nobody_else(method):
     assert (names[hears >= 10] > 0).all() and (hears >= 10).any()
 
 
-@pytest.mark.parametrize(('kind', 'method'), [
-    ('ranges', 'ts_mcl'), ('ranges', 'r_mcl'), ('ranges', 'cooperative'), ('ranges', 'ekf'),
-    ('range-free', 'ts_mcl')])
-def test_anchors_that_are_all_replaced_let_nobody_get_lost(kind, method):
-    world, localizer = world_and_localizer(kind, method=method)
+def followed(kind, method, epochs, meanwhile, **settings):
+    """
+    Return whether vehicles are OK, and whether they are consistent (T, V), as it happens to them.
+
+    `meanwhile(number, epoch, world, localizer)` returns what they hear.
+    """
+    world, localizer = world_and_localizer(kind, method=method, **settings)
     ok, consistent = [], []
-    for number in range(MOVED + 20):
-        if number == MOVED:
-            others = anchor_table(lay_out(AnchorConfig(), 2, np.random.default_rng(8)))
-            world.anchors = replace(others, sender=others.sender + 100)
+    for number in range(epochs):
         epoch = world.step()
-        estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+        heard = meanwhile(number, epoch, world, localizer)
+        estimate = localizer.epoch(heard, epoch.odom_position, epoch.odom_yaw)
         ok.append(localizer.status == OK)
-        consistent.append(normalized_error_squared(
-            estimate.mean - epoch.position, estimate.covariance) < chi_squared_quantile(0.95, 2))
-    assert np.mean(ok[MOVED:]) > 0.9
-    assert np.mean(consistent[MOVED:]) > 0.9
+        known = np.isfinite(estimate.mean[:, 0])
+        assert not (ok[-1] & ~known).any()
+        nees = np.full(VEHICLES, np.inf)
+        nees[known] = normalized_error_squared(
+            (estimate.mean - epoch.position)[known], estimate.covariance[known])
+        consistent.append(nees < chi_squared_quantile(0.95, 2))
+    return np.array(ok), np.array(consistent)
+
+
+def replaced(number, epoch, world, localizer):
+    """Let other anchors stand elsewhere from MOVED on, of which nobody has a map."""
+    if number == MOVED - 1:
+        others = anchor_table(lay_out(AnchorConfig(), 2, np.random.default_rng(8)))
+        world.anchors = replace(others, sender=others.sender + 100)
+    return epoch.observation
+
+
+def misinformed(number, epoch, world, localizer):
+    """Start every vehicle where another one is."""
+    if number == 0:
+        for vehicle, place in enumerate(np.roll(epoch.position, VEHICLES // 2, axis=0)):
+            localizer.initial_pose(Prior(vehicle, place, 25.0 * np.eye(2), 0.0, 0.1))
+    return epoch.observation
+
+
+def deaf(first, last):
+    """Let nobody hear anything in these epochs."""
+    def hear(number, epoch, world, localizer):
+        nothing = Observation.empty(VEHICLES, 0, 2, epoch.stamp)
+        return nothing if first <= number < last else epoch.observation
+    return hear
+
+
+@pytest.mark.parametrize(('kind', 'method'), [
+    ('ranges', 'ts_mcl'), ('ranges', 'ekf'), ('range-free', 'ts_mcl')])
+def test_anchors_that_are_all_replaced_let_nobody_get_lost(kind, method):
+    ok, consistent = followed(kind, method, MOVED + 20, replaced)
+    assert ok[MOVED:].mean() > 0.9
+    assert consistent[MOVED:].mean() > 0.9
+
+
+@pytest.mark.parametrize(('method', 'meanwhile', 'informed'), [
+    ('ts_mcl', misinformed, 0), ('ekf', misinformed, 0), ('ts_mcl', deaf(0, 10), 10),
+    ('ekf', deaf(20, 80), 80)],
+    ids=['wrong pose, ts_mcl', 'wrong pose, ekf', 'deaf at first', 'deaf for a minute'])
+def test_who_is_informed_again_is_ok_within_20_epochs_and_never_wrong_unsaid(
+        method, meanwhile, informed):
+    ok, consistent = followed('ranges', method, informed + 22, meanwhile)
+    assert ok[informed:informed + 20].any(axis=0).all()
+    assert ok[informed + 20:].mean() > 0.9
+    assert (~ok | consistent).mean() > 0.9
+    if informed == 80:
+        assert not ok[30:80].any()
+
+
+@pytest.mark.parametrize('method', ['r_mcl', 'cooperative', 'ekf'])
+def test_whoever_merely_hears_who_is_near_takes_itself_for_as_certain_as_it_is(method):
+    _, consistent = followed('range-free', method, EPOCHS, deaf(0, 0))
+    assert consistent.mean() > 0.85
+
+
+def test_beacons_that_get_lost_as_often_as_configured_cost_a_range_free_vehicle_little():
+    rng = np.random.default_rng(4)
+
+    def drop(number, epoch, world, localizer):
+        dropped = rng.random(epoch.observation.sender.shape) < 0.02
+        return replace(epoch.observation, sender=np.where(
+            dropped, PADDED, epoch.observation.sender))
+
+    ok, consistent = followed('range-free', 'ts_mcl', EPOCHS, drop, miss_rate=0.02)
+    assert ok[20:].mean() > 0.95
+    assert consistent.mean() > 0.85
 
 
 def test_who_asks_to_start_anew_suspects_nobody():
