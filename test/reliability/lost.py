@@ -38,6 +38,17 @@ RANGES: dict[str, Any] = {'radio_range': 1500.0, 'measure_range': True, 'range_s
 SLOW = {'min_speed': 1.0, 'max_speed': 15.0}
 CRUISING = {'motion_model': 'velocity', 'acceleration_std': 3.0}
 RANGE_FREE = {**load_yaml(CONFIG / 'range_free.yaml'), 'odom_heading': 'known'}
+REASONS = {
+    'ranges, odometry': '',
+    'ranges, odometry of any heading': '',
+    'ranges, no odometry': '',
+    'range-free, odometry': 'A vehicle or two in 72 hold a place beside theirs that fits who is '
+                            'heard and who is silent. 200 particles lie thin there: with 1000 the '
+                            'confidently wrong epochs of cooperative among other anchors fall '
+                            'from 3.8 to 0 %.',
+    'range-free, no odometry': 'Positions known to some 200 m lie along arcs, and velocities not '
+                               'at all known, which a Gaussian describes badly.',
+}
 # By name: what the world has, the localizer, and the methods.
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[str, ...]]] = {
     'ranges, odometry': (
@@ -210,7 +221,7 @@ def measure() -> Section:
             count = len(SEEDS) * len(found) * VEHICLES
             goals.append(Goal(
                 f'{method}, {kind}: vehicles recovered within {RECOVERY} epochs',
-                100 * (1 - late / count), 99.0, 'at least', '%', REASONS[kind]))
+                100 * (1 - late / count), 100.0, 'at least', '%', REASONS[kind]))
             goals.append(Goal(f'{method}, {kind}: NaN once placed',
                               sum(part.broken for parts in found.values() for part in parts), 0))
     return Section(
@@ -223,17 +234,6 @@ def measure() -> Section:
         'those below the 5 % quantile. Vehicles without odometry turn at waypoints at up to '
         '15 m/s.',
         [[['% good / wrong / cautious; epochs', *SCENARIOS], *rows]], goals)
-
-
-REASONS = {
-    'ranges, odometry': '',
-    'ranges, odometry of any heading': '',
-    'ranges, no odometry': 'Turns at waypoints are sharper than any acceleration that the motion '
-                           'model has.',
-    'range-free, odometry': 'Who is heard and who is silent fits several places for a while.',
-    'range-free, no odometry': 'Positions known to 200 m are spread along arcs, which moments '
-                               'describe badly.',
-}
 
 
 def run(kind: str, method: str, scenario: Scenario, seed: int) -> Outcome:
