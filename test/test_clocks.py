@@ -81,7 +81,7 @@ def errors(told, vehicle, offset=0.0):
 
 # --- one vehicle of a fleet ------------------------------------------------------------------
 
-@pytest.mark.parametrize('offset', [60.0, 5000.0, 1.7e9, -60.0, -99.0])
+@pytest.mark.parametrize('offset', [4.0, 60.0, 5000.0, 1.7e9, -60.0, -99.0])
 def test_a_vehicle_whose_clock_is_wrong_stalls_and_restarts_nobody_else(offset):
     rows = drive(40, vehicles=3)
     told = run(wrong(rows, 1, offset), vehicles=3)
@@ -99,7 +99,7 @@ def test_who_spoke_first_does_not_keep_the_others_out():
         assert served(told, vehicle)[-40:] == [120.0 + epoch for epoch in range(40)]
 
 
-@pytest.mark.parametrize('offset', [60.0, 5000.0, -50.0])
+@pytest.mark.parametrize('offset', [8.0, 60.0, 5000.0, -50.0])
 def test_a_single_wrong_stamp_of_a_vehicle_costs_that_message_alone(offset):
     rows = drive(30, vehicles=3)
     told = run(wrong(rows, 1, offset, 110.0, 110.05, ['beacons']), vehicles=3)
@@ -179,6 +179,15 @@ def test_a_driver_that_leaves_stamps_zero_is_refused_and_the_rest_goes_on():
     assert told.localizer.restarts <= 1
     assert told.localizer.now == pytest.approx(1.7e9 + 29.9)
     assert len(told.refused) >= 29
+
+
+def test_stamps_that_are_left_at_zero_now_and_then_cost_those_messages_alone():
+    rows = drive(40, start=1.7e9)
+    told = run([(time, what, vehicle, 0.0 if what == 'beacons' and time % 4 == 1 else stamp)
+                for time, what, vehicle, stamp in rows])
+    assert told.localizer.restarts == 0
+    assert len(told.refused) == 10
+    assert len(served(told, 0)) == 30
 
 
 @pytest.mark.parametrize(('rate', 'wheels'), [(1.0, 50.0), (5.0, 10.0), (50.0, 20.0)])

@@ -53,6 +53,8 @@ _PREDICTS_OUTAGES = ('grey_ekf',)
 LONGEST_LEAP = 3600.0
 # Stamps that are further apart [s], or than time_jump, do not tell the same time.
 _SPAN = 10.0
+# Nobody is this far ahead [s] of a fleet that speaks every second or so; others are asked first.
+_AHEAD = 2.0
 
 
 @dataclass(frozen=True)
@@ -387,13 +389,17 @@ class Localizer:
             If it comes too late, or tells another time than most vehicles.
 
         """
+        if stamp == 0 and self._now > LONGEST_LEAP:
+            raise MessageError(
+                f'{what}: stamp 0 is not allowed, as the time is {self._now:.6f} s: who sends it '
+                'leaves it unset')
         late = stamp < self._now - self.config.time_jump
         back = stamp < latest - self.config.time_jump
         if not back and stamp <= latest:
             raise MessageError(
                 f'{what}: stamp {stamp:.6f} s is not allowed, must be after the last one, '
                 f'{latest:.6f} s')
-        ahead = -np.inf < self._now < stamp - self._span
+        ahead = -np.inf < self._now < stamp - (_AHEAD if self.vehicles > 1 else self._span)
         if not (late or ahead):
             self._timeline.accept(vehicle, stamp)
             return True
