@@ -423,3 +423,9 @@ def test_a_place_beyond_the_earth_is_refused(x):
     for decode in (messages.decode_odometry, lambda data: messages.decode_odometries([data])):
         with pytest.raises(MessageError, match=error):
             decode(data)
+
+
+def test_a_range_beyond_any_radio_is_refused():
+    message = Range(range=3e38)
+    with pytest.raises(MessageError, match=r'range 3e\+38 is not allowed, must be at most 1e\+06'):
+        messages.decode_range(serialize_message(message))

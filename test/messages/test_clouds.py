@@ -448,3 +448,11 @@ def test_many_rows_of_one_id_are_told_from_another_at_once():
     error = r'two anchors claim id 7, at \[1.0, 2.0, 3.0\] and at \[9.0, 2.0, 3.0\]'
     with pytest.raises(MessageError, match=error):
         messages.decode_beacons(cloud(rows))
+
+
+@pytest.mark.parametrize(('name', 'value', 'most'), [
+    ('range', 3e38, '1e[+]06'), ('max_range', 1.1e6, '1e[+]06'), ('cov_xx', 1e13, '1e[+]12')])
+def test_what_no_radio_measures_is_refused(name, value, most):
+    error = f'{name} .* of id 1 is not allowed, must be at most {most}'
+    with pytest.raises(MessageError, match=error):
+        messages.decode_beacons(cloud([beacon(**{name: value})]))

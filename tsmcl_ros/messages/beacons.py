@@ -14,6 +14,7 @@ from tsmcl_ros.messages.clouds import (
     FAR,
     FLOAT,
     MAX_COORDINATE,
+    MAX_RANGE,
     NUMBER,
     parse_layout,
     read_cloud,
@@ -56,8 +57,9 @@ for _name in _MEASURED:
 _MAX, _TINY = float(np.finfo(np.float32).max), float(np.finfo(np.float32).tiny)
 _BOUNDS = {
     **dict.fromkeys(('x', 'y', 'z'), (-MAX_COORDINATE, MAX_COORDINATE)),
-    'max_range': (_TINY, _MAX),
-    **dict.fromkeys(('range', 'range_std', 'cov_xx', 'cov_yy', 'cov_zz'), (0.0, _MAX)),
+    'max_range': (_TINY, MAX_RANGE),
+    **dict.fromkeys(('range', 'range_std'), (0.0, MAX_RANGE)),
+    **dict.fromkeys(('cov_xx', 'cov_yy', 'cov_zz'), (0.0, MAX_RANGE**2)),
     **dict.fromkeys(('rssi', 'cov_xy', 'cov_xz', 'cov_yz'), (-_MAX, _MAX)),
 }
 _MEANINGS = {
@@ -153,9 +155,11 @@ def _check_rows(rows: Array) -> None:
     if np.count_nonzero(low) or np.count_nonzero(high):
         row, word = np.argwhere(low | high)[0]
         name = next(name for name in _WORD if _WORD[name] == word)
+        value, (least, most) = words[row, word], _BOUNDS[name]
+        large = most < value < np.inf and least != -most
         raise MessageError(
-            f'{name} {words[row, word]:g} of id {rows["id"][row]} is not allowed, must be '
-            f'{_MEANINGS[_BOUNDS[name][0]]}'
+            f'{name} {value:g} of id {rows["id"][row]} is not allowed, must be '
+            f'{f"at most {most:g}" if large else _MEANINGS[least]}'
         )
     missing = np.isnan(rows['position'])
     if np.count_nonzero(missing):

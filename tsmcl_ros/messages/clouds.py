@@ -14,6 +14,9 @@ POINT_CLOUD = 'sensor_msgs/msg/PointCloud2'
 MAX_COORDINATE = 1e5
 """Largest coordinate of a beacon [m]: beyond it FLOAT32 resolves no better than a centimetre."""
 
+MAX_RANGE = 1e6
+"""Largest range, and reach of a radio [m]: squares of much larger ones are no FLOAT32."""
+
 MAX_ROWS = 2**16
 """Most rows of a cloud: no radio hears more, and no map of anchors is larger."""
 

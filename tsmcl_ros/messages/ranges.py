@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 
 from tsmcl_ros import cdr
+from tsmcl_ros.messages.clouds import MAX_RANGE
 from tsmcl_ros.messages.stamps import read_header, write_header
 from tsmcl_ros.types import MessageError
 
@@ -50,7 +51,7 @@ def decode_range(data: bytes) -> RangeReading:
     Raises
     ------
     MessageError
-        If the bytes are not such a reading, or the distance is negative.
+        If the bytes are not such a reading, or the distance is negative or beyond 1000 km.
 
     """
     reader = cdr.Reader(data)
@@ -61,6 +62,8 @@ def decode_range(data: bytes) -> RangeReading:
     reader.finish()
     if -math.inf < measured < 0:
         raise MessageError(f'range {measured:g} is not allowed, must be at least 0')
+    if MAX_RANGE < measured < math.inf:
+        raise MessageError(f'range {measured:g} is not allowed, must be at most {MAX_RANGE:g}')
     limited = high > low
     known = math.isfinite(measured) and (low <= measured <= high or not limited)
     return RangeReading(
