@@ -28,7 +28,7 @@ from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
-from tsmcl_ros.model.resume import Last, last_known, resumed
+from tsmcl_ros.model.resume import Bridges, Last, last_known, resumed
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import SpeakerConfig, Speakers
 from tsmcl_ros.model.timeline import Again, Held, Timeline
@@ -232,6 +232,7 @@ class Localizer:
         self._last: float | None = None
         self._estimate: Estimate | None = None
         self._speed = np.full(self.vehicles, np.nan)
+        self._bridges = Bridges(self.motion_config.max_speed, self.channel.radio_range)
 
     @property
     def now(self) -> float:
@@ -497,7 +498,8 @@ class Localizer:
         stamp = observation.stamp
         motion = self._odometry.motion(self._last, stamp, self.config.dimension)
         if motion is not None and motion.displacement is not None and motion.elapsed > 0:
-            self._speed = np.linalg.norm(motion.displacement, axis=1) / motion.elapsed
+            speed = np.linalg.norm(motion.displacement, axis=1) / motion.elapsed
+            self._speed = np.where(np.isnan(speed), self._speed, speed)
         if self._method is None:
             self._method = self._make_method(motion is not None)
             self._awaits_odometry = self.motion_config.motion_model == 'auto' and motion is None
@@ -509,7 +511,8 @@ class Localizer:
         for prior in self._outage.resume(stamp, observation.heard.any(axis=1)):
             self._method.start(prior)
             self._hearsay.forget(prior.vehicle)
-        for prior in self._priors:
+        bridged = self._bridged(stamp)
+        for prior in [*bridged, *self._priors]:
             self._method.start(self._rotated(prior))
             self._hearsay.forget(prior.vehicle)
             self._outage.forget(prior.vehicle)
@@ -527,7 +530,8 @@ class Localizer:
                 self._hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
             estimate = self._hearsay.add(
                 estimate, claimed, observation, *self.channel.resolution(observation))
-        estimate = self._through_outage(estimate, observation, motion)
+        estimate = self._through_outage(estimate, observation, motion, bridged)
+        self._bridges.forget(estimate.heard > 0)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
         self._monitor.doubt(estimate.reinitialized)
@@ -573,8 +577,20 @@ class Localizer:
         self._astray[astray] = 0
         return astray
 
-    def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None
-                        ) -> Estimate:
+    def _bridged(self, stamp: float) -> list[Prior]:
+        """Return where those vehicles are whose odometry is back; drop beliefs of no more use."""
+        odometry = self._odometry.at_epoch
+        if self._estimate is None:
+            return []
+        self._bridges.leave(self._estimate, self._speed, self.status != LOST, odometry)
+        arrived = self._bridges.arrive(stamp, odometry)
+        for vehicle, prior in arrived.items():
+            if prior is None:
+                self.reinitialize(vehicle)
+        return [prior for prior in arrived.values() if prior is not None]
+
+    def _through_outage(self, estimate: Estimate, observation: Observation, motion: Motion | None,
+                        bridged: Sequence[Prior] = ()) -> Estimate:
         """
         Return the estimate with those vehicles predicted that hear nothing.
 
@@ -590,6 +606,7 @@ class Localizer:
         heard = estimate.heard > 0
         if motion is not None and motion.displacement is not None:
             heard = heard | np.isfinite(motion.displacement).all(axis=1)
+        heard[[prior.vehicle for prior in bridged]] = True
         return self._outage.replace(estimate, ~heard)
 
     def _listen(self, observation: Observation) -> Observation:

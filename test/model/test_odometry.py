@@ -142,3 +142,16 @@ def test_without_yaws_nobody_turns():
     motion = buffer.motion(0.0, 1.0, 2)
     assert motion.turn.tolist() == [0]
     assert motion.displacement.tolist() == [[1, 0]]
+
+
+def test_odometry_that_has_ceased_is_none_rather_than_one_of_a_vehicle_that_stands():
+    buffer = OdometryBuffer(2)
+    for stamp in np.arange(0, 2.1, 0.1):
+        buffer.add(0, pose(stamp, x=stamp))
+    for stamp in (0.0, 2.0):
+        buffer.add(1, pose(stamp, x=stamp))
+    buffer.motion(None, 2.0, 2)
+    motion = buffer.motion(2.0, 4.0, 2)
+    assert np.isnan(motion.displacement[0]).all()
+    # One that comes each other second is not late yet.
+    np.testing.assert_array_equal(motion.displacement[1], [0.0, 0.0])

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.model.health import OK
+from tsmcl_ros.model.health import OK, STALE
 from tsmcl_ros.model.resume import Last, resumed
 from tsmcl_ros.scripts.scenario import LOCALIZER
-from tsmcl_ros.types import Prior
+from tsmcl_ros.types import Observation, Prior
 from tsmcl_ros.world import make_world
 
 VEHICLES, BEFORE, AWAY = 20, 30, 3
@@ -95,6 +95,35 @@ def test_a_localizer_that_is_started_again_is_right_within_three_epochs(
     nees = np.einsum('vi,vij,vj->v', errors[1], np.linalg.inv(estimates[1].covariance), errors[1])
     assert nees.mean() < 3
     assert (again.status == OK).all()
+
+
+@pytest.mark.parametrize('measure_range', [False, True])
+def test_where_beacons_and_odometry_are_silent_poses_are_stale_and_honest_and_right_soon_after(
+    measure_range: bool,
+) -> None:
+    world = make_world({**WORLD, 'measure_range': measure_range}, np.random.default_rng(6))
+    localizer = Localizer(LOCALIZER, VEHICLES)
+    localizer.anchor_map(world.anchors)
+    errors: dict[int, Any] = {}
+    inside: dict[int, Any] = {}
+    for second in range(1, 36):
+        epoch = world.step()
+        if 14 < second < 25:  # a link is cut, and the localizer predicts each other second
+            if second % 2:
+                continue
+            nothing = Observation.empty(VEHICLES, 0, 2, epoch.stamp)
+            estimate = localizer.epoch(nothing)
+            assert (localizer.status == STALE).all()
+        else:
+            estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+            assert (localizer.status == OK).all()
+        error = errors[second] = estimate.mean - epoch.position
+        inside[second] = np.einsum(
+            'vi,vij,vj->v', error, np.linalg.inv(estimate.covariance), error) < 5.99
+    rmse = {second: np.sqrt((error ** 2).sum(axis=1).mean()) for second, error in errors.items()}
+    assert rmse[24] > rmse[14] + 50
+    assert rmse[25] < rmse[14] + 20
+    assert np.mean([inside[second] for second in inside if second >= 14]) > 0.9
 
 
 def test_lost_vehicles_are_not_kept() -> None:

@@ -41,6 +41,7 @@ class Host:
 
     def __init__(self, command: Sequence[str], folder: Path, address: str = '') -> None:
         self.address = address
+        self.link: tuple[Host, str] | None = None  # the router, and what it calls the way here
         try:
             self._holder = subprocess.Popen(
                 [*command, 'sh', '-c', SETUP], cwd=folder, text=True, stdin=subprocess.PIPE,
@@ -66,6 +67,16 @@ class Host:
         if done.returncode:
             raise Refused(f'{command}: {done.stderr.strip()}')
         return done.stdout
+
+    @contextmanager
+    def cut(self) -> Iterator[None]:
+        """Cut the link to all other hosts, at the router, which nobody there is told of."""
+        router, name = self.link
+        router.run(f'ip link set {name} down')
+        try:
+            yield
+        finally:
+            router.run(f'ip link set {name} up')
 
     def sent(self) -> int:
         """Return how many bytes have left for other hosts, with all headers."""
@@ -107,6 +118,7 @@ def network(hosts: int, folder: Path) -> Iterator[list[Host]]:
                        f'ip link set to{number} up')
             host.run(f'ip address add {subnet}.2/24 dev eth0 && ip link set eth0 up && '
                      f'ip route add default via {subnet}.1')
+            host.link = router, f'to{number}'
             made.append(host)
         yield made
 

@@ -35,7 +35,7 @@ class HealthConfig(Config):
     """When an estimate is stale, when a vehicle is lost, and whom it suspects."""
 
     stale_after: float = param(
-        5.0, 'call an estimate stale when no beacon was heard for this long',
+        1.5, 'call an estimate stale when no beacon was heard for this long',
         unit='s', above=0.0, live=True)
     contradiction: float = param(
         3.0, 'a beacon contradicts a prediction that it is this far from, in standard deviations '

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from tsmcl_ros.types import Array, Motion, Odometry
 
+# Odometry is gone when it is silent for so long [s], and for so many of its intervals.
+_GONE, _INTERVALS = 1.0, 1.5
+
 
 class OdometryBuffer:
     """
@@ -22,7 +25,8 @@ class OdometryBuffer:
     latest : (V,) float64
         Stamp of each vehicle's last pose [s], -inf if there is none.
     at_epoch : (V, 4) float64
-        Position [m] and yaw [rad] at the last epoch, NaN where there is no odometry.
+        Position [m] and yaw [rad] at the last epoch, NaN where there is no odometry, or none any
+        more: a vehicle whose odometry is silent does not stand.
 
     """
 
@@ -70,7 +74,7 @@ class OdometryBuffer:
             displacement=change[:, :dimension], turn=change[:, 3])
 
     def _interpolate(self, stamp: float) -> Array:
-        """Return the poses (V, 4) at a stamp [s]; the nearest one outside of what is known."""
+        """Return the poses (V, 4) at a stamp [s]; soon before and after them the nearest one."""
         depth, vehicle = self._stamp.shape[1], self._vehicle
         # Counted from the oldest.
         after = np.minimum((self._stamp < stamp).sum(axis=1), depth - 1)
@@ -78,7 +82,9 @@ class OdometryBuffer:
         after = (self._newest + 1 + after) % depth
         low, high = self._stamp[vehicle, before], self._stamp[vehicle, after]
         with np.errstate(divide='ignore', invalid='ignore'):
+            interval = self.latest - self._stamp[vehicle, self._newest - 1]
             share = np.minimum(np.maximum((stamp - low) / (high - low), 0), 1)
         share = np.where(np.isfinite(low) & (high > low), share, 1)[:, None]
         pose = (1 - share) * self._pose[vehicle, before] + share * self._pose[vehicle, after]
-        return np.where(np.isfinite(high)[:, None], pose, np.nan)
+        patience = np.maximum(_GONE, _INTERVALS * np.where(np.isfinite(interval), interval, 0))
+        return np.where((stamp - self.latest <= patience)[:, None], pose, np.nan)

@@ -38,6 +38,7 @@ _QOS = {
     'initialpose': runtime.RELIABLE,
 }
 
+_LOOKING_PERIOD = 0.25  # s, between two looks whether messages have ceased
 _WARNING_PERIOD = 5.0  # s, between two warnings of senders that are ignored
 
 
@@ -128,7 +129,7 @@ class LocalizerNode(ManagedNode):
         self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
-            DIAGNOSTICS_PERIOD, self._diagnose_anyway,
+            _LOOKING_PERIOD, self._diagnose_anyway,
             clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(
             _WARNING_PERIOD, self._warn_of_others, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -251,12 +252,15 @@ class LocalizerNode(ManagedNode):
 
     def _diagnose_anyway(self) -> None:
         """Publish how it is going where no epoch has had it published."""
+        now = time.monotonic()
+        stale = self._arrival + self._localizer.health_config.stale_after
         if self.state == 'active' and (
-                time.monotonic() - self._diagnosed > 0.9 * DIAGNOSTICS_PERIOD):
+                now - self._diagnosed > 0.9 * DIAGNOSTICS_PERIOD
+                or self._diagnosed <= stale < now):
             # By the messages' clock, as poses are stamped, once there are any.
             stamp = self._localizer.now
             if not self.follows_clock:
-                stamp += time.monotonic() - self._arrival
+                stamp += now - self._arrival
             self._diagnose(
                 stamp if math.isfinite(stamp) else self.get_clock().now().nanoseconds / 1e9)
 

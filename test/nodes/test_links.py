@@ -1,0 +1,51 @@
+"""A link that is cut, localizers and anchors that are killed; see test/reliability/links.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / 'reliability'))
+from links import cut_link, fill_disk, kill_fleet, Refused, restart_anchors  # noqa: E402, I100
+
+
+def test_a_fleet_behind_a_cut_link_is_stale_in_two_epochs_and_well_again_in_five(
+    tmp_path: Path,
+) -> None:
+    try:
+        found = cut_link(tmp_path, settled=4, seconds=6, after=5)
+    except Refused as refused:
+        pytest.skip(f'this machine lets nobody make hosts: {refused}')
+    assert found.noticed < 2
+    assert found.recovered < 5
+    assert found.wrong < 0.1
+    assert (found.lost, found.suspects) == (0, 0)
+
+
+def test_killed_localizers_are_right_again_in_three_epochs(tmp_path: Path) -> None:
+    found = kill_fleet(tmp_path, settled=4, after=5)
+    assert found.recovered < 3
+    # One vehicle more or less is a twentieth, and stays so for some epochs.
+    assert found.wrong < 0.15
+
+
+def test_of_anchors_that_are_started_again_nobody_speaks(tmp_path: Path) -> None:
+    found, news = restart_anchors(tmp_path, settled=4, after=5)
+    assert (found.lost, found.suspects) == (0, 0)
+    assert found.wrong < 0.1
+    # No beacons for a moment, and nothing else.
+    assert all('STALE: ' in line or 'OK: ' in line for line in news)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_on_a_real_disk_that_is_full_is_valid(tmp_path: Path, storage: str) -> None:
+    try:
+        valid, said = fill_disk(tmp_path, storage, size=2500)
+    except FileNotFoundError as error:
+        pytest.skip(f'{error.filename} is not installed')
+    if 'unshare' in said or 'mount' in said:
+        pytest.skip(f'this machine lets nobody mount: {said}')
+    assert valid, said
+    assert 'No space left on device' in said or 'is full' in said
