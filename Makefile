@@ -9,7 +9,7 @@ PYTEST := -m pytest -n 2 --dist loadfile
 SOURCES := setup.py setup.cfg pyproject.toml tools/environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oldest lint bench clean
+.PHONY: help demo test test-oldest lint bench reliability clean
 
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -30,6 +30,9 @@ lint: $(VENV)/test.stamp  ## the static checks alone: style, docstrings, types
 
 bench: $(VENV)/bench.stamp  ## how fast it is beside peers and limits; writes docs/performance.md
 	@$(VENV)/bin/python test/benchmark/run.py --out docs/performance.md
+
+reliability: $(VENV)/test.stamp  ## what it stands and what is lost; writes docs/reliability.md
+	@$(VENV)/bin/python test/reliability/run.py --out docs/reliability.md
 
 clean:  ## remove the environments and what the tools left behind
 	@rm -rf .venv* .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache \

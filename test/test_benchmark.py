@@ -1,7 +1,8 @@
-"""The command behind `make bench`, not how fast anything is."""
+"""The commands behind `make bench` and `make reliability`, not what they find."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -21,11 +22,13 @@ def test_a_benchmark_prints_its_table_and_writes_it_as_a_page(tmp_path: Path) ->
     assert '| beacons |' in page.read_text()
 
 
-def test_every_benchmark_is_run_by_default() -> None:
-    modules = {path.stem for path in FOLDER.glob('*.py') if 'def measure(' in path.read_text()}
-    listed = subprocess.run([sys.executable, FOLDER / 'run.py', '--help'],
-                            capture_output=True, text=True, check=True).stdout
-    assert modules == set(listed[listed.index('benchmarks: ') + 12:listed.index(' (default')]
+@pytest.mark.parametrize('folder', [FOLDER, FOLDER.parent / 'reliability'])
+def test_every_section_is_measured_by_default(folder: Path) -> None:
+    modules = {path.stem for path in folder.glob('*.py') if 'def measure(' in path.read_text()}
+    listed = subprocess.run(
+        [sys.executable, folder / 'run.py', '--help'], env=os.environ | {'COLUMNS': '999'},
+        capture_output=True, text=True, check=True).stdout
+    assert modules == set(listed[listed.index('sections: ') + 10:listed.index(' (default')]
                           .replace(',', '').split())
 
 

@@ -52,8 +52,10 @@ def heard(kind: str, epoch: Epoch) -> Observation:
     if kind != 'vehicles':
         return scan
     vehicle = (scan.sender >= 0) & (scan.sender % 2 == 0)
-    return replace(scan, kind=np.where(vehicle, VEHICLE, scan.kind), covariance=np.where(
-        vehicle[:, :, None, None], 100 * np.eye(2), scan.covariance))
+    return replace(
+        scan, kind=np.where(vehicle, VEHICLE, scan.kind),
+        sender=np.where(vehicle, scan.sender + 1000, scan.sender), covariance=np.where(
+            vehicle[:, :, None, None], 100 * np.eye(2), scan.covariance))
 
 
 def estimates(kind: str, settings: Mapping[str, object], later: Mapping[str, object] | None = None,

@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.config import adjust, build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.model.absence import Absences
 from tsmcl_ros.model.cloud import RecoveryConfig
-from tsmcl_ros.model.consistency import deviations
+from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.echo import guard, Hearsay, refuse_certainty
-from tsmcl_ros.model.health import HealthConfig, HealthMonitor, LOST, OK, STALE
+from tsmcl_ros.model.health import HealthConfig, LOST, OK, STALE
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.odometry import OdometryBuffer
 from tsmcl_ros.model.outage import OutagePredictor
@@ -55,6 +54,8 @@ LONGEST_LEAP = 3600.0
 _SPAN = 10.0
 # Nobody is this far ahead [s] of a fleet that speaks every second or so; others are asked first.
 _AHEAD = 2.0
+# Odometry tells of the way in the map where its frame's rotation is known this well [rad].
+_WELL_ORIENTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -219,9 +220,11 @@ class Localizer:
         self._pending: dict[float, dict[int, Observation]] = {}
         self._priors: list[Prior] = []
         self._hearsay = Hearsay(self.vehicles, self.config.dimension)
-        self._monitor = HealthMonitor(self.health_config, self.vehicles)
-        self._absences = Absences(
-            self.health_config, self.evidence_config.miss_rate, self.vehicles)
+        self._credibility = Credibility(
+            self.health_config, self.evidence_config.miss_rate, self.vehicles,
+            self.config.dimension)
+        self._credibility.claims.learn_map(self._anchors.mapped)
+        self._monitor = self._credibility.monitor
         self._astray = np.zeros(self.vehicles, int)
         self._passed = np.full(self.vehicles, -np.inf)
         self._heard_at = np.full(self.vehicles, -np.inf)
@@ -294,6 +297,7 @@ class Localizer:
         self.speakers.learn_map(anchors)
         if not self.speakers.heed_all:
             self._learn_links()
+        self._credibility.claims.learn_map(self._anchors.mapped)
 
     def ignore_silence(self) -> None:
         """Take no anchor's silence for evidence, as who is heard is not all who are near."""
@@ -341,7 +345,6 @@ class Localizer:
                 f'{self._last:.6f} s')
         observation = self.speakers.heed(
             observation.project(self.config.dimension), [vehicle])
-        self._anchors.check(observation)
         refuse_certainty(observation)
         self._passed[vehicle] = stamp
         self._now = max(self._now, stamp)
@@ -442,8 +445,7 @@ class Localizer:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
         self._outage.forget(vehicle)
         self._hearsay.forget(vehicle)
-        self._monitor.forget(vehicle)
-        self._absences.forget(vehicle)
+        self._credibility.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
 
@@ -513,15 +515,12 @@ class Localizer:
             self._hearsay.forget(prior.vehicle)
         bridged = self._bridged(stamp)
         for prior in [*bridged, *self._priors]:
-            self._method.start(self._rotated(prior))
-            self._hearsay.forget(prior.vehicle)
-            self._outage.forget(prior.vehicle)
-            self._monitor.forget(prior.vehicle)
-            self._absences.forget(prior.vehicle)
+            self._begin(self._rotated(prior))
+            self._credibility.forget(prior.vehicle)
         self._priors = []
         claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
-        observation = self._judge(observation)
+        observation = self._sifted(observation, motion)
         astray = self._drop_astray(observation)
         estimate = self._oriented(self._method.update(observation))
         estimate = replace(estimate, reinitialized=estimate.reinitialized | astray)
@@ -534,25 +533,44 @@ class Localizer:
         self._bridges.forget(estimate.heard > 0)
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
-        self._monitor.doubt(estimate.reinitialized)
-        self._absences.renew(estimate.reinitialized)
+        self._credibility.renew(estimate.reinitialized)
         self._reinitializations += estimate.reinitialized
         return estimate
 
-    def _judge(self, observation: Observation) -> Observation:
-        """
-        Hold what was heard against the prediction, before it becomes part of the belief.
-
-        Returned is the observation with what the silence in it is worth.
-        """
+    def _sifted(self, observation: Observation, motion: Motion | None) -> Observation:
+        """Return what is to be believed, as held against the prediction and against itself."""
         assert self._method is not None
         mean, covariance = self._method.moments()
-        found = deviations(
-            self.channel, observation, mean, covariance + self._hearsay.covariance)
-        met = self._anchors.met(observation)
-        self._absences.learn(found, observation, met)
-        self._monitor.judge(found, self._absences.usual(found))
-        return self._absences.weigh(observation, self._monitor.lost > 0.5, met)
+        self._credibility.move(*self._displacement(motion))
+        observation, priors = self._credibility.sift(
+            self.channel, observation, mean, covariance + self._hearsay.covariance,
+            self._anchors.met(observation))
+        for prior in priors:
+            turned = None if self._estimate is None else self._estimate.rotation[prior.vehicle]
+            self._begin(replace(prior, yaw=None if turned is None or np.isnan(turned) else turned))
+        return observation
+
+    def _begin(self, prior: Prior) -> None:
+        """Replace a vehicle's belief by one that rests on nothing that was heard before."""
+        assert self._method is not None
+        self._method.start(prior)
+        self._hearsay.forget(prior.vehicle)
+        self._outage.forget(prior.vehicle)
+
+    def _displacement(self, motion: Motion | None) -> tuple[Array, Array]:
+        """Return how vehicles moved in the map (V, D) [m], NaN if unknown, and variances (V,)."""
+        unknown = np.full((self.vehicles, self.config.dimension), np.nan)
+        estimate = self._estimate
+        if motion is None or motion.displacement is None or estimate is None:
+            return unknown, np.zeros(self.vehicles)
+        config, moved = self.motion_config, motion.displacement.copy()
+        oriented = estimate.rotation_variance < _WELL_ORIENTED ** 2
+        angle = np.where(oriented, estimate.rotation, np.nan)
+        x, y = motion.displacement[:, 0], motion.displacement[:, 1]
+        moved[:, 0] = np.cos(angle) * x - np.sin(angle) * y
+        moved[:, 1] = np.sin(angle) * x + np.cos(angle) * y
+        errs = config.alpha3 ** 2 + estimate.rotation_variance
+        return moved, config.odom_std ** 2 * motion.elapsed + errs * np.square(moved).sum(axis=1)
 
     def _drop_astray(self, observation: Observation) -> Array:
         """

@@ -22,6 +22,7 @@ T = TypeVar('T')
 
 ANCHOR, VEHICLE = 0, 1
 PADDED = -1
+_ID_BITS = 32
 # Most base periods that may lie between two beacons.
 MAX_PERIOD_FACTOR = 2 ** 31 - 1
 
@@ -259,6 +260,17 @@ class Observation:
             covariance=self.covariance[:, :, :dimension, :dimension],
         )
 
+    def without(self, pairs: Array) -> Observation:
+        """Return it without pairs (M,) of vehicle and sender, and without their silence."""
+        if not len(pairs):
+            return self
+        silent = self.silent
+        if silent is not None:
+            silent = replace(
+                silent, known=silent.known & ~np.isin(pairs_of(silent.sender), pairs))
+        return replace(self, silent=silent, sender=np.where(
+            np.isin(pairs_of(self.sender), pairs), PADDED, self.sender))
+
     def vehicle(self, index: int) -> Observation:
         """Return what one vehicle observes (V = 1) without its padding."""
         rows = self.heard[index]
@@ -286,6 +298,21 @@ class Observation:
 _ROW_FIELDS = tuple(
     field.name for field in fields(Observation) if field.name not in ('stamp', 'silent')
 )
+
+
+def pair(vehicle: Array, sender: Array) -> Array:
+    """Return one number for each vehicle and sender: ids are UINT32 in beacons, or PADDED."""
+    return (vehicle << _ID_BITS) + sender
+
+
+def pairs_of(sender: Array) -> Array:
+    """Return the pairs (V, K) of vehicles and the senders (V, K) that each has."""
+    return pair(np.arange(len(sender))[:, None], sender)
+
+
+def split(pairs: Array) -> tuple[Array, Array]:
+    """Return the vehicles and senders of pairs."""
+    return pairs >> _ID_BITS, pairs & (1 << _ID_BITS) - 1
 
 
 def items(rows: Array) -> Array:

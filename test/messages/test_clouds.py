@@ -334,12 +334,6 @@ BAD_CLOUDS = {
     'a small covariance that is none beside a large variance': (
         lambda: cloud([beacon(5, cov_xx=1.0, cov_xy=2.0, cov_yy=1.0, cov_zz=1e9)]),
         'must be positive semidefinite'),
-    'two anchors that claim one id': (
-        lambda: cloud([beacon(5), beacon(6), {**beacon(5), 'y': 2.5}]),
-        'two anchors claim id 5, at .1.0, 2.0, 3.0. and at .1.0, 2.5, 3.0.'),
-    'a vehicle that claims the id of an anchor': (
-        lambda: cloud([beacon(5, kind=0), beacon(6, kind=1), beacon(5, kind=1)]),
-        'an anchor and a vehicle claim id 5: an id must have one sender'),
 }
 
 
@@ -441,13 +435,6 @@ def test_more_fields_than_any_row_has_are_refused():
     fields = [PointField(name='', offset=0, datatype=7, count=1)] * 257
     with pytest.raises(MessageError, match='has 257 fields, must have at most 256'):
         messages.decode_beacons(cloud([beacon()], fields=fields))
-
-
-def test_many_rows_of_one_id_are_told_from_another_at_once():
-    rows = [beacon(7)] * 9 + [beacon(3, x=5.0), beacon(7, x=9.0)]
-    error = r'two anchors claim id 7, at \[1.0, 2.0, 3.0\] and at \[9.0, 2.0, 3.0\]'
-    with pytest.raises(MessageError, match=error):
-        messages.decode_beacons(cloud(rows))
 
 
 @pytest.mark.parametrize(('name', 'value', 'most'), [

@@ -30,7 +30,7 @@ def epoch(heard, silent):
         np.ones((1, len(silent)), bool), ANCHORS[:, 4:4 + len(silent)],
         np.zeros((1, len(silent), 2), np.float32), np.full((1, len(silent)), np.float32(100)))
     sender = np.concatenate([ANCHORS[:, :len(heard)], silence.sender], axis=1)
-    return Deviations(sender, said, is_silent & said, deviation), replace(
+    return Deviations(sender, said, is_silent & said, ~is_silent & said, deviation), replace(
         observation, silent=silence)
 
 

@@ -7,6 +7,7 @@ import pytest
 from tsmcl_ros.config import ConfigError
 from tsmcl_ros.model.consistency import Deviations
 from tsmcl_ros.model.health import HealthConfig, HealthMonitor
+from tsmcl_ros.types import pairs_of
 
 RIGHT, WRONG = 0.5, 9.0
 
@@ -16,13 +17,20 @@ def said(*rows, silent=()):
     deviation = np.array([[0 if value is None else value for value in row] for row in rows], float)
     heard = np.array([[value is not None for value in row] for row in rows])
     sender = np.tile(np.arange(1, heard.shape[1] + 1), (len(rows), 1))
-    return Deviations(sender, heard, np.isin(sender, silent) & heard, deviation)
+    return Deviations(
+        sender, heard, np.isin(sender, silent) & heard, np.zeros_like(heard), deviation)
+
+
+def judge(monitor, epoch, disproved=()):
+    contradicts, counts = monitor.judge_vehicles(epoch)
+    monitor.judge_senders(
+        pairs_of(epoch.sender), contradicts, counts, np.array(disproved, np.int64))
 
 
 def watch(*epochs, vehicles=1, **settings):
     monitor = HealthMonitor(HealthConfig(**settings), vehicles)
     for epoch in epochs:
-        monitor.judge(epoch)
+        judge(monitor, epoch)
     return monitor
 
 
@@ -41,7 +49,7 @@ def test_who_is_lost_is_found_once_beacons_agree(heard):
     monitor = watch(*[said([WRONG] * heard)] * 10)
     assert monitor.lost > 0.99
     for _ in range(-(-12 // heard)):
-        monitor.judge(said([RIGHT] * heard))
+        judge(monitor, said([RIGHT] * heard))
     assert monitor.lost < 0.5
 
 
@@ -56,12 +64,12 @@ def test_a_sender_alone_makes_no_vehicle_lost_that_hears_others():
 def test_a_sender_that_contradicts_what_others_agree_on_is_suspected_within_ten_epochs():
     monitor = watch(*[said([WRONG, RIGHT, RIGHT])] * 6)
     assert monitor.suspects() == [[1]]
-    assert monitor.suspected(np.array([[3, 1, -1]])).tolist() == [[False, True, False]]
+    assert monitor.suspected(pairs_of(np.array([[3, 1, -1]]))).tolist() == [[False, True, False]]
 
 
 def test_suspects_do_not_outvote_others():
     monitor = watch(*[said([WRONG, WRONG, RIGHT, RIGHT, RIGHT])] * 10)
-    monitor.judge(said([WRONG, WRONG, RIGHT, None, None]))
+    judge(monitor, said([WRONG, WRONG, RIGHT, None, None]))
     assert monitor.suspects() == [[1, 2]]
     assert monitor.lost < 0.5
 
@@ -72,7 +80,7 @@ def test_an_honest_sender_is_not_suspected_for_its_outliers():
     monitor = HealthMonitor(HealthConfig(), vehicles)
     for _ in range(epochs):
         wrong = rng.random((vehicles, 6)) < 0.02
-        monitor.judge(said(*np.where(wrong, WRONG, RIGHT).tolist()))
+        judge(monitor, said(*np.where(wrong, WRONG, RIGHT).tolist()))
         assert not any(monitor.suspects())
     assert (monitor.lost < 0.5).all()
 
@@ -80,14 +88,14 @@ def test_an_honest_sender_is_not_suspected_for_its_outliers():
 def test_a_sender_is_cleared_once_it_agrees():
     monitor = watch(*[said([WRONG, RIGHT, RIGHT])] * 30)
     for _ in range(25):
-        monitor.judge(said([RIGHT] * 3))
+        judge(monitor, said([RIGHT] * 3))
     assert monitor.suspects() == [[]]
 
 
 def test_a_sender_that_is_never_met_again_is_forgotten():
     monitor = watch(*[said([WRONG, RIGHT, RIGHT])] * 30)
     for _ in range(100):
-        monitor.judge(said([None, RIGHT, RIGHT]))
+        judge(monitor, said([None, RIGHT, RIGHT]))
     assert monitor.suspects() == [[]]
 
 
@@ -108,7 +116,7 @@ def test_who_hears_nothing_stays_as_it_was():
     monitor = watch(*[said([WRONG] * 3)] * 5)
     before = monitor.lost.copy()
     for _ in range(100):
-        monitor.judge(said([None] * 3))
+        judge(monitor, said([None] * 3))
     assert monitor.lost == before
 
 
@@ -123,7 +131,7 @@ def test_a_vehicle_placed_anew_is_lost_until_confirmed():
     monitor.doubt(np.array([True]))
     assert monitor.lost > 0.99
     for _ in range(5):
-        monitor.judge(said([RIGHT] * 3))
+        judge(monitor, said([RIGHT] * 3))
     assert monitor.lost < 0.5
 
 
@@ -144,3 +152,10 @@ def test_the_largest_identity_has_its_own_place():
 def test_certainty_is_refused_as_a_rate():
     with pytest.raises(ConfigError, match='contradiction_rate: 0.5 is not allowed'):
         HealthConfig(contradiction_rate=0.5)
+
+
+def test_who_contradicts_itself_is_suspected_within_ten_epochs():
+    monitor = HealthMonitor(HealthConfig(), 1)
+    for _ in range(5):
+        judge(monitor, said([RIGHT] * 3), [7])
+    assert monitor.suspects() == [[7]]

@@ -161,33 +161,26 @@ def test_forgetting_clears_the_memory():
 
 
 @pytest.mark.parametrize('mode', ['none', 'memory', 'map'])
-def test_claims_are_checked_against_the_map_in_every_mode(mode):
+def test_a_table_is_checked_against_the_map_in_every_mode(mode):
     anchors = KnownAnchors(mode, 1, 2)
     anchors.learn_map(rows(1, 2))
-    anchors.check(rows(1, 2, position=[[10.9, -0.9], [20, 0]]))
-    with pytest.raises(MessageError, match=r'anchor 2 claims \[20\.0, 1\.5\] m, must be where '
-                                           r'the anchor map has it, \[20\.0, 0\.0\] m, to 1 m'):
-        anchors.check(rows(1, 2, position=[[10, 0], [20, 1.5]]))
+    anchors.check(rows(1, 2, position=[[10.9, -0.9], [20, 0]]), 'anchor links')
+    with pytest.raises(MessageError, match=r'anchor links: anchor 2 claims \[20\.0, 1\.5\] m, '
+                                           r'must be where the anchor map has it, \[20\.0, 0'):
+        anchors.check(rows(1, 2, position=[[10, 0], [20, 1.5]]), 'anchor links')
 
 
-def test_a_vehicle_that_claims_to_be_an_anchor_of_the_map_is_refused():
+def test_who_is_in_no_map_is_not_checked():
     anchors = KnownAnchors('map', 1, 2)
-    anchors.learn_map(rows(1, 2))
-    with pytest.raises(MessageError, match='a vehicle claims id 2, which is that of an anchor'):
-        anchors.check(rows(2, 7, kind=VEHICLE))
-
-
-def test_claims_of_those_who_are_in_no_map_are_not_checked():
-    anchors = KnownAnchors('map', 1, 2)
-    anchors.check(rows(7, position=[[1, 2]]))
+    anchors.check(rows(7, position=[[1, 2]]), 'anchor links')
     anchors.learn_map(rows(1))
-    anchors.check(rows(7, position=[[1, 2]]))
+    anchors.check(rows(7, position=[[1, 2]]), 'anchor links')
 
 
 def test_padding_is_nobody():
     anchors = KnownAnchors('map', 1, 2)
     anchors.learn_map(rows(0, 1))
     padded = Observation.empty(1, 3, 2, 0.0)
-    anchors.check(padded)
+    anchors.check(padded, 'anchor links')
     assert silent(listen(anchors, padded)) == [0, 1]
     assert silent(listen(anchors, replace(padded, sender=np.array([[-1, 1, -1]])))) == [0]

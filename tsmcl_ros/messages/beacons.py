@@ -20,7 +20,7 @@ from tsmcl_ros.messages.clouds import (
     read_cloud,
 )
 from tsmcl_ros.messages.covariances import is_covariance
-from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, VEHICLE
+from tsmcl_ros.types import Array, MessageError, Observation
 
 BEACON = np.dtype(
     [(name, '<f4') for name in ('x', 'y', 'z')]
@@ -97,7 +97,7 @@ def decode_beacons(data: bytes) -> tuple[Observation, str]:
     MessageError
         If the bytes are not a beacon scan, or say what cannot be true: a position that is not
         finite or beyond 100 km, a negative or infinite measurement, an unknown kind or number of
-        hops, a covariance that is none, or an anchor's id that somebody else claims too.
+        hops, or a covariance that is none.
 
     """
     stamp, frame_id, cloud = read_cloud(data, _read_layout)
@@ -174,9 +174,6 @@ def _check_rows(rows: Array) -> None:
         unknown = rows[field].tobytes().translate(None, known)
         if unknown:
             raise MessageError(f'{field} {unknown[0]} is not allowed, must be {meaning}')
-    ids = rows['id'].tolist()
-    if len(set(ids)) < len(ids):
-        _check_claims(rows)
 
 
 def _words(rows: Array) -> Array:
@@ -187,26 +184,6 @@ def _words(rows: Array) -> Array:
 def _encode_scan(stamp: float, frame_id: str, words: Array) -> bytes:
     dense = not np.isnan(words[:, list(_WORD.values())]).any()
     return encode_cloud(stamp, frame_id, _LAYOUT, words, dense)
-
-
-def _check_claims(rows: Array) -> None:
-    """Refuse an anchor's id with two positions, or with a vehicle that claims it too."""
-    anchors = rows[rows['kind'] == ANCHOR]
-    sender, position = anchors['id'], anchors['position']
-    identity, first, which = np.unique(sender, return_index=True, return_inverse=True)
-    differs = (position != position[first[which]]).any(axis=1)
-    if differs.any():
-        at = int(np.argmax(differs))
-        raise MessageError(
-            f'two anchors claim id {sender[at]}, at {position[first[which[at]]].tolist()} and at '
-            f'{position[at].tolist()}: an id must have one position'
-        )
-    vehicles = rows['id'][rows['kind'] == VEHICLE]
-    both = np.isin(vehicles, identity)
-    if both.any():
-        raise MessageError(
-            f'an anchor and a vehicle claim id {vehicles[np.argmax(both)]}: an id must have one '
-            'sender')
 
 
 def _full_covariance(terms: Array) -> Array:

@@ -9,7 +9,7 @@ from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Observation
 
 # A logistic edge of width s lies within 0.01 of a Gaussian one of this std.
-_LOGISTIC_STD = 1.702
+LOGISTIC_STD = 1.702
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +89,6 @@ def bounds(channel: Channel, observation: Observation, measured: Array) -> Bound
     if logarithmic:
         std, limit = 1 / channel.path_loss(sender).slope, np.log10(limit)
     else:
-        std = _LOGISTIC_STD * channel.softness(limit)
+        std = LOGISTIC_STD * channel.softness(limit)
     return Bounds(sender, position, covariance, used, limit, std, np.repeat(side, width),
                   np.repeat(silence, width), logarithmic, missed)

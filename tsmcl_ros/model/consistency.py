@@ -25,6 +25,8 @@ class Deviations:
         False where nothing is said, or nothing was expected.
     silent : (V, R) bool
         True where it is an anchor's silence that says something.
+    disk : (V, R) bool
+        True where it is that a sender was heard, rather than a measurement.
     deviation : (V, R) float
         By how many standard deviations it contradicts, of all that is uncertain: belief,
         reference and measurement; 0 where it agrees.
@@ -34,6 +36,7 @@ class Deviations:
     sender: Array
     said: Array
     silent: Array
+    disk: Array
     deviation: Array
 
 
@@ -60,17 +63,20 @@ def deviations(channel: Channel, observation: Observation, mean: Array, covarian
     measured = ranged | powered
     bound, columns = bounds(channel, observation, measured), []
     if bound.used.any() or not measured.any():
-        columns.append((bound.sender, bound.used, bound.silent, _of_bounds(belief, bound)))
+        columns.append((bound.sender, bound.used, bound.silent, ~bound.silent,
+                        _of_bounds(belief, bound)))
     if measured.any():
-        loud = np.zeros(measured.shape[1], bool)
-        columns.append((observation.sender, measured, loud, np.maximum(
+        no = np.zeros(measured.shape[1], bool)
+        columns.append((observation.sender, measured, no, no, np.maximum(
             _of_ranges(belief, observation, distance, std, ranged),
             _of_powers(channel, belief, observation, powered))))
-    said = np.concatenate([used & known[:, None] for _, used, _, _ in columns], axis=1)
+    sender, used, silence, heard, deviation = zip(*columns, strict=True)
+    said = np.concatenate(used, axis=1) & known[:, None]
     return Deviations(
-        np.concatenate([sender for sender, *_ in columns], axis=1), said,
-        np.broadcast_to(np.concatenate([silent for _, _, silent, _ in columns]), said.shape),
-        np.where(said, np.concatenate([value for *_, value in columns], axis=1), 0))
+        np.concatenate(sender, axis=1), said,
+        np.broadcast_to(np.concatenate(silence), said.shape),
+        np.broadcast_to(np.concatenate(heard), said.shape),
+        np.where(said, np.concatenate(deviation, axis=1), 0))
 
 
 def _of_ranges(belief: tuple[Array, Array], observation: Observation, distance: Array,

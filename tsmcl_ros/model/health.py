@@ -17,7 +17,7 @@ import math
 import numpy as np
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.consistency import Deviations
-from tsmcl_ros.types import Array, PADDED
+from tsmcl_ros.types import Array, Observation, pairs_of, split
 
 OK, STALE, LOST = 0, 1, 2
 
@@ -27,7 +27,6 @@ BY_CHANCE = 0.5
 _SUREST = math.log(1e3)
 # What is held against a sender fades, lest one that is never met again stays a suspect.
 _MEMORY = 0.99
-_ID_BITS = 32
 
 
 @dataclass(frozen=True)
@@ -79,50 +78,78 @@ class HealthMonitor:
     def forget(self, vehicle: Array | int) -> None:
         """Begin again with some vehicles, whose beliefs are replaced by what somebody says."""
         self.lost[vehicle] = 0
-        self._drop(np.isin(self._pair >> _ID_BITS, vehicle))
+        self._drop(np.isin(split(self._pair)[0], vehicle))
 
     def doubt(self, vehicle: Array) -> None:
         """Take vehicles (V,) bool for lost until beacons confirm them: they were placed anew."""
         if not vehicle.any():
             return
         self.lost[vehicle] = 1 - 1 / (1 + math.exp(_SUREST))
-        self._drop(vehicle[self._pair >> _ID_BITS])
+        self._drop(vehicle[split(self._pair)[0]])
 
-    def judge(self, deviations: Deviations, usual: Array | bool = False) -> None:
+    def judge_vehicles(self, deviations: Deviations, usual: Array | bool = False
+                       ) -> tuple[Array, Array]:
         """
-        Learn from how an epoch's beacons agree with the prediction.
+        Learn from how an epoch's beacons agree with the prediction whether vehicles are lost.
 
         What is usual, (V, R) bool, does not count against a vehicle, but against the sender.
+
+        Returns
+        -------
+        contradicts, counts : (V, R) bool
+            What contradicts the prediction, and what says anything.
+
         """
-        suspected = self.suspected(deviations.sender) | usual
         contradicts = deviations.said & (deviations.deviation > self.config.contradiction)
         # The silence of an anchor is no news unless it was expected to be heard.
         counts = deviations.said & ~(deviations.silent & ~contradicts)
-        number = (counts & ~suspected).sum(axis=1)
-        against = (contradicts & ~suspected).sum(axis=1)
-        self._judge_vehicles(number, against)
-        outvoted = (2 * against > number)[:, None]
-        self._judge_senders(deviations.sender, contradicts, counts & ~outvoted)
+        heeded = counts & ~(self.suspected(pairs_of(deviations.sender)) | usual)
+        self._judge_vehicles(heeded.sum(axis=1), (contradicts & heeded).sum(axis=1))
+        return contradicts, counts
 
-    def suspected(self, sender: Array) -> Array:
-        """Return which senders, ids (V, R), their vehicles suspect."""
-        suspicious = self._suspicious
-        if not len(suspicious):
-            return np.zeros(sender.shape, bool)
-        vehicle = np.arange(len(sender))[:, None]
-        found = np.isin((vehicle << _ID_BITS) + sender, suspicious)
-        return np.asarray(found & (sender != PADDED))
+    def judge_senders(self, pairs: Array, contradicts: Array, counts: Array, disproved: Array
+                      ) -> None:
+        """
+        Learn of senders.
+
+        Parameters
+        ----------
+        pairs : (V, R) int64
+            Of vehicle and sender.
+        contradicts, counts : (V, R) bool
+            Who contradicts what is known of the vehicle, and who says anything.
+        disproved : (M,) int64
+            Pairs whose sender contradicts itself or the map.
+
+        """
+        heeded = counts & ~self.suspected(pairs)
+        outvoted = 2 * (contradicts & heeded).sum(axis=1) > heeded.sum(axis=1)
+        counts = counts & ~outvoted[:, None]
+        self._judge_senders(np.concatenate([pairs[counts], disproved]), np.concatenate(
+            [contradicts[counts], np.ones(len(disproved), bool)]))
+
+    def shunned(self, observation: Observation) -> Array:
+        """Return the pairs (M,) of vehicles and those that they suspect, if not most of them."""
+        suspected = self.suspected(pairs_of(observation.sender)) & observation.heard
+        most = 2 * suspected.sum(axis=1) > observation.heard.sum(axis=1)
+        vehicle, _ = split(self.suspicious)
+        return self.suspicious[~most[vehicle]]
+
+    def suspected(self, pairs: Array) -> Array:
+        """Return which of these pairs of a vehicle and a sender are of one that it suspects."""
+        return np.isin(pairs, self.suspicious)
 
     def suspects(self) -> list[list[int]]:
         """Return the ids that each vehicle suspects."""
         found: list[list[int]] = [[] for _ in self.lost]
-        for pair in self._suspicious.tolist():
-            found[pair >> _ID_BITS].append(pair & (1 << _ID_BITS) - 1)
+        vehicle, sender = split(self.suspicious)
+        for index, identity in zip(vehicle.tolist(), sender.tolist(), strict=True):
+            found[index].append(identity)
         return found
 
     @property
-    def _suspicious(self) -> Array:
-        """The pairs of a vehicle and a sender that it suspects."""
+    def suspicious(self) -> Array:
+        """(M,) int64: pairs of a vehicle and a sender that it suspects."""
         return self._pair[self._odds >= math.log(self.config.suspicion)]
 
     def _judge_vehicles(self, number: Array, against: Array) -> None:
@@ -133,20 +160,18 @@ class HealthMonitor:
             odds = np.log(prior) - np.log1p(-prior) + change
         self.lost = np.where(number > 0, 1 / (1 + np.exp(-np.minimum(odds, _SUREST))), self.lost)
 
-    def _judge_senders(self, sender: Array, contradicts: Array, counts: Array) -> None:
-        """Weigh what the rows (V, R) that count say of their senders."""
+    def _judge_senders(self, pairs: Array, contradicts: Array) -> None:
+        """Weigh what was heard (M,) of the senders of pairs (M,)."""
         # Most senders always agree, and nothing is held against them.
-        if not len(self._pair) and not (contradicts & counts).any():
+        if not len(self._pair) and not contradicts.any():
             return
-        vehicle, row = np.nonzero(counts)
-        pair = (vehicle << _ID_BITS) + sender[vehicle, row]
-        change = np.where(contradicts[vehicle, row], self._for, self._against)
-        kept = np.isin(pair, np.union1d(self._pair, pair[change > 0]))
-        pairs, place = np.unique(
-            np.concatenate([self._pair, pair[kept]]), return_inverse=True)
+        change = np.where(contradicts, self._for, self._against)
+        kept = np.isin(pairs, np.union1d(self._pair, pairs[contradicts]))
+        merged, place = np.unique(
+            np.concatenate([self._pair, pairs[kept]]), return_inverse=True)
         total = np.bincount(
-            place.reshape(-1), np.concatenate([_MEMORY * self._odds, change[kept]]), len(pairs))
-        self._pair, self._odds = pairs, np.minimum(total, 1.5 * math.log(self.config.suspicion))
+            place.reshape(-1), np.concatenate([_MEMORY * self._odds, change[kept]]), len(merged))
+        self._pair, self._odds = merged, np.minimum(total, 1.5 * math.log(self.config.suspicion))
         self._drop(self._odds <= 0)
 
     def _drop(self, which: Array) -> None:

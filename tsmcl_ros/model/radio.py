@@ -383,6 +383,18 @@ class Channel:
         std = np.where(used, self._range_std(observation), 1)
         return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
 
+    def disks(self, observation: Observation) -> tuple[Array, Array]:
+        """
+        Return the radii (V, K) [m] of disks that hold vehicles who heard a sender.
+
+        The second value tells which rows (V, K) bool have one and hold no measurement, which
+        would say more.
+        """
+        radius = self.radius(observation.max_range, observation.sender) * observation.hops
+        ranged = ~np.isnan(observation.range) & self.switches.use_range
+        rows = observation.heard & (radius > 0) & ~ranged & ~self.powered(observation)
+        return radius, rows & self.switches.use_heard & (self.radio.radio_model == 'disk')
+
     def resolution(self, observation: Observation) -> tuple[Array, Array]:
         """
         Return what the ranges of an observation resolve, and which rows (V, K) bool have one.

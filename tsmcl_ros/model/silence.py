@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Silence, VEHICLE
+from tsmcl_ros.types import ANCHOR, Array, MessageError, Observation, Silence
 
-_TOLERANCE = 1.0  # m, how far an anchor may claim to be from where the map has it
+TOLERANCE = 1.0  # m, how far an anchor may claim to be from where it is known to be
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,8 @@ class KnownAnchors:
 
     Attributes
     ----------
+    mapped : Anchors
+        Those of the map.
     table : Anchors
         All that somebody knows.
     known : (V, A) bool
@@ -82,7 +84,7 @@ class KnownAnchors:
 
     def __init__(self, mode: str, vehicles: int, dimension: int):
         self.mode = mode
-        self._map = self.table = Anchors.none(dimension)
+        self.mapped = self.table = Anchors.none(dimension)
         self.known = np.zeros((vehicles, 0), bool)
 
     def forget(self) -> None:
@@ -107,36 +109,30 @@ class KnownAnchors:
                 f'anchor map: id {anchors.sender[0, twice]} stands in it more than once, must be '
                 'there once')
         news = Anchors.of(anchors, np.zeros_like(first), first)
-        self._map = self._map.updated(news)
+        self.mapped = self.mapped.updated(news)
         if self.mode == 'map':
             self._learn(news, np.ones((len(self.known), len(identity)), bool))
 
-    def check(self, observation: Observation, what: str = 'beacons') -> None:
+    def check(self, table: Observation, what: str) -> None:
         """
-        Hold that every anchor of the map is where the map has it, and no vehicle claims to be it.
+        Hold that every anchor of a table (V = 1) is where the map has it.
 
         Raises
         ------
         MessageError
-            Naming the first one that is not.
+            Naming the first one that is not, and what the table is.
 
         """
-        if not len(self._map.identity):
+        if not len(self.mapped.identity):
             return
-        index, there = self._map.find(observation.sender)
-        posing = there & (observation.kind == VEHICLE)
-        if posing.any():
-            raise MessageError(
-                f'beacons: a vehicle claims id {observation.sender[posing][0]}, which is '
-                'that of an anchor of the map, must have one of its own')
-        place = self._map.position.take(index, axis=0)
-        off = np.abs(observation.position - place).max(axis=2, initial=0)
-        wrong = there & ~(off <= _TOLERANCE)
+        index, there = self.mapped.find(table.sender)
+        place = self.mapped.position.take(index, axis=0)
+        wrong = there & (np.abs(table.position - place).max(axis=2, initial=0) > TOLERANCE)
         if wrong.any():
             raise MessageError(
-                f'{what}: anchor {observation.sender[wrong][0]} claims '
-                f'{observation.position[wrong][0].tolist()} m, must be where the anchor map has '
-                f'it, {place[wrong][0].tolist()} m, to {_TOLERANCE:g} m')
+                f'{what}: anchor {table.sender[wrong][0]} claims '
+                f'{table.position[wrong][0].tolist()} m, must be where the anchor map has '
+                f'it, {place[wrong][0].tolist()} m, to {TOLERANCE:g} m')
 
     def listen(self, observation: Observation, centre: Array, reach: Array) -> Observation:
         """
