@@ -45,7 +45,7 @@ def test_the_numbers_behind_it_are_told():
     assert diagnosis.values.keys() == {
         'method', 'seed', 'particles', 'probability of being lost', 'suspects',
         'age of the last beacon [s]', 're-initialisations', 'effective particles',
-        'beacons heard', 'latency [s]'}
+        'beacons heard', 'latency [s]', 'range scale', 'range bias [m]'}
     assert diagnosis.values['beacons heard'] == '4'
     assert diagnosis.values['latency [s]'] == '0.25'
     assert float(diagnosis.values['probability of being lost']) < 0.01

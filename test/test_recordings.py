@@ -47,7 +47,7 @@ def plaza1(shared_data, tmp_path_factory):
     assert evaluate.main([out]) == 0
     document = json.loads((folder / 'plaza1_out_eval' / 'metrics.json').read_text())
     [run] = read_runs(out)
-    return document, run.vehicles['veh_0'], run.outages, complaints(out)
+    return document, run.vehicles['veh_0'], run.outages, complaints(out), out
 
 
 def test_plaza1_is_localized_to_3_m_by_raw_ranges(plaza1):
@@ -56,8 +56,22 @@ def test_plaza1_is_localized_to_3_m_by_raw_ranges(plaza1):
     assert document['overall']['median_m'] <= 1.5
 
 
+def test_plaza1_is_localized_to_0_6_m_as_its_radio_is_found_out(plaza1):
+    document, *_ = plaza1
+    assert document['overall']['rmse_m'] <= 0.6
+
+
+def test_plaza1_tells_what_its_ranges_are_like(plaza1):
+    *_, bag = plaza1
+    with Reader(bag) as reader:
+        *_, last = reader.messages(['/diagnostics'])
+    values = messages.decode_diagnostics(last.data)[1][0].values
+    assert float(values['range scale'].split(' +- ')[0]) == pytest.approx(1.069, abs=0.01)
+    assert float(values['range bias [m]'].split(' +- ')[0]) == pytest.approx(0.03, abs=0.3)
+
+
 def test_plaza1_has_poses_through_its_outage(plaza1):
-    document, track, outages, _ = plaza1
+    document, track, outages, *_ = plaza1
     assert document['overall']['availability'] > 0.99
     begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
     assert end - begin == pytest.approx(97, abs=1)
@@ -67,7 +81,7 @@ def test_plaza1_has_poses_through_its_outage(plaza1):
 
 
 def test_plaza1_knows_how_uncertain_an_outage_makes_it(plaza1):
-    _, track, outages, _ = plaza1
+    _, track, outages, *_ = plaza1
     begin, end = max(outages, key=lambda outage: outage[1] - outage[0])
     within = (track.truth.stamp > begin) & (track.truth.stamp < end)
     assert track.spread[within].max() > 3 * track.spread[within][0]
@@ -81,7 +95,7 @@ def test_plaza1_is_tracked_to_the_end(plaza1):
 
 
 def test_plaza1_is_never_called_lost_and_nobody_is_suspected(plaza1):
-    *_, complaints = plaza1
+    *_, complaints, _ = plaza1
     assert complaints == []
 
 

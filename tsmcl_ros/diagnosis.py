@@ -18,7 +18,8 @@ NAMES = {OK: 'OK', STALE: 'STALE', LOST: 'LOST'}
 _LEVELS = {OK: FINE, STALE: WARNING, LOST: FAILURE}
 _REASONS = {OK: 'OK', STALE: 'STALE: predicting through an outage',
             LOST: 'LOST: what is heard contradicts where the vehicle should be'}
-_UNPLACED = 'LOST: no beacon has told where the vehicle is'
+_UNPLACED = {STALE: 'STALE: ranges leave the vehicle on circles around anchors so far',
+             LOST: 'LOST: no beacon has told where the vehicle is'}
 
 
 def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: Array,
@@ -43,13 +44,19 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
     health, estimate, speakers = localizer.health, localizer.estimate, localizer.speakers
     placed = np.zeros(len(vehicles), bool)
     common = {'method': localizer.config.method, 'seed': localizer.config.seed}
+    if localizer.channel.calibrates:
+        calibration = localizer.channel.calibration
+        scale_std, bias_std = np.sqrt(np.diag(calibration.covariance)).tolist()
+        common |= {
+            'range scale': f'{calibration.scale:.4f} +- {scale_std:.4f}',
+            'range bias [m]': f'{calibration.bias:.3f} +- {bias_std:.3f}'}
     if estimate is not None:
         placed = np.isfinite(estimate.mean).all(axis=1)
         common['particles'] = estimate.particles
     diagnoses = []
     for vehicle, (name, now) in enumerate(zip(vehicles, status.tolist(), strict=True)):
         suspects = ', '.join(map(str, health.suspects[vehicle]))
-        reason = _REASONS[now] if placed[vehicle] or now != LOST else _UNPLACED
+        reason = _REASONS[now] if placed[vehicle] else _UNPLACED.get(now, _REASONS[now])
         values: dict[str, Any] = {
             'probability of being lost': float(health.lost[vehicle]),
             'suspects': suspects,

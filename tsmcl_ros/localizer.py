@@ -28,6 +28,7 @@ from tsmcl_ros.model.outage import OutagePredictor
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
 from tsmcl_ros.model.resume import Bridges, Last, last_known, resumed
+from tsmcl_ros.model.settling import Settling
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import SpeakerConfig, Speakers
 from tsmcl_ros.model.timeline import Again, Held, Timeline
@@ -74,6 +75,9 @@ class LocalizerConfig(Config):
         'velocity', 'what predicts a vehicle that hears nothing and has no odometry: the way its '
         'velocity used to be kept or lost; that and a grey prediction of its azimuth; or none, '
         "the method's own motion model", choices=('velocity', 'grey_ekf', 'none'))
+    hold_circles: bool = param(
+        True, 'say nothing of vehicles that ranges leave on circles around anchors, in whose '
+        'middle they are not', live=True)
     time_jump: float = param(
         10.0, "start anew when a topic's stamps go back by more than this, as in a looped bag; "
         'reject messages that are less late', unit='s', low=0.0, live=True)
@@ -220,6 +224,7 @@ class Localizer:
         self._pending: dict[float, dict[int, Observation]] = {}
         self._priors: list[Prior] = []
         self._hearsay = Hearsay(self.vehicles, self.config.dimension)
+        self._settling = Settling(self.vehicles)
         self._credibility = Credibility(
             self.health_config, self.evidence_config.miss_rate, self.vehicles,
             self.config.dimension)
@@ -262,7 +267,7 @@ class Localizer:
     @property
     def status(self) -> Array:
         """(V,) int: OK, STALE or LOST as of the last epoch."""
-        stale = self._age > self.health_config.stale_after
+        stale = (self._age > self.health_config.stale_after) | self._circling
         return np.where(self._lost > 0.5, LOST, np.where(stale, STALE, OK))
 
     @property
@@ -276,7 +281,16 @@ class Localizer:
         """(V,) float: probability of being lost, 1 before a vehicle is placed."""
         if self._estimate is None:
             return np.ones(self.vehicles)
-        return np.where(np.isfinite(self._estimate.mean[:, 0]), self._monitor.lost, 1)
+        known = np.isfinite(self._estimate.mean[:, 0]) | self._circling
+        return np.where(known, self._monitor.lost, 1)
+
+    @property
+    def _circling(self) -> Array:
+        """(V,) bool: who is placed, but on circles."""
+        if self._estimate is None:
+            return np.zeros(self.vehicles, bool)
+        return np.asarray(np.isfinite(self._estimate.covariance[:, 0, 0])
+                          & np.isnan(self._estimate.mean[:, 0]))
 
     @property
     def _age(self) -> Array:
@@ -444,6 +458,7 @@ class Localizer:
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
         self._outage.forget(vehicle)
+        self._settling.done[vehicle] = False
         self._hearsay.forget(vehicle)
         self._credibility.forget(vehicle)
         if self._method is not None:
@@ -509,7 +524,9 @@ class Localizer:
         elif self._estimate is not None:
             if self._awaits_odometry and motion is not None:
                 self._adopt_odometry(self._estimate)
-            self._method.predict(motion or Motion(stamp - self._estimate.stamp))
+            moved = motion or Motion(stamp - self._estimate.stamp)
+            self._method.predict(moved)
+            self.channel.calibration.predict(moved)
         for prior in self._outage.resume(stamp, observation.heard.any(axis=1)):
             self._method.start(prior)
             self._hearsay.forget(prior.vehicle)
@@ -517,6 +534,7 @@ class Localizer:
         for prior in [*bridged, *self._priors]:
             self._begin(self._rotated(prior))
             self._credibility.forget(prior.vehicle)
+            self._settling.done[prior.vehicle] = True
         self._priors = []
         claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
@@ -524,13 +542,17 @@ class Localizer:
         astray = self._drop_astray(observation)
         estimate = self._oriented(self._method.update(observation))
         estimate = replace(estimate, reinitialized=estimate.reinitialized | astray)
-        self.channel.calibrate(observation, estimate)
+        for prior in self.channel.calibrate(observation, estimate):
+            self._method.start(prior)
         if self.evidence_config.echo_guard > 0 and (
                 self._hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
             estimate = self._hearsay.add(
                 estimate, claimed, observation, *self.channel.resolution(observation))
         estimate = self._through_outage(estimate, observation, motion, bridged)
         self._bridges.forget(estimate.heard > 0)
+        if self.config.hold_circles:
+            self._settling.judge(observation, estimate, self.channel.distances(observation))
+            estimate = replace(estimate, mean=self._settling.placed(estimate))
         self._last, self._estimate = stamp, estimate
         self._heard_at[estimate.heard > 0] = stamp
         self._credibility.renew(estimate.reinitialized)
@@ -666,6 +688,7 @@ class Localizer:
     def _make_method(self, odometry: bool) -> Estimator:
         config = self.config
         motion = motion_model(self.motion_config, config.dimension, odometry)
+        self.channel.follow(motion, self.vehicles, config.dimension)
         method: Estimator = METHODS[config.method](
             self.method_config, self.channel, motion, self.vehicles, config.dimension, self._rng)
         return method

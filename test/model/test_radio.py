@@ -6,7 +6,6 @@ Scores are relative to their peak, so that a likelihood equals scipy's but for a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 import math
 from typing import Any
@@ -17,8 +16,9 @@ import numpy as np
 import pytest
 from scipy import special, stats
 from tsmcl_ros.model.evidence import Evidence
+from tsmcl_ros.model.motion import MotionConfig, RandomMotion
 from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
-from tsmcl_ros.types import ConfigError, Estimate, Observation, Silence
+from tsmcl_ros.types import ConfigError, Estimate, Motion, Observation, Silence
 
 # Statistical tests have fixed seeds and reject at one in a thousand.
 SIGNIFICANCE = 1e-3
@@ -696,21 +696,25 @@ def estimated(mean: np.ndarray) -> Estimate:
         reinitialized=np.zeros(vehicles, bool))
 
 
-def ranged_epochs(feed: Callable[[Observation, Estimate], None]) -> None:
-    """Feed epochs of ranges that are 7 % long, with estimates that are right."""
-    draw = rng()
+def ranged_epochs(radio: Channel) -> None:
+    """Let vehicles calibrate a radio by ranges that are 7 % long."""
+    draw, truth = rng(), rng().uniform(-30, 30, (4, 2))
+    corners = np.array([[-60, -60], [60, -60], [60, 60], [-60, 60]], float)
+    radio.follow(RandomMotion(MotionConfig(max_speed=4.0)), 4, 2)
     for _ in range(100):
-        truth = draw.uniform(-100, 100, (4, 2))
-        observation = Observation.empty(4, 1, 2, 1.0)
-        observation.sender[:] = 0
-        observation.range[:, 0] = 1.07 * np.linalg.norm(truth, axis=1) + draw.normal(0, 0.5, 4)
+        truth = truth + draw.uniform(-2, 2, truth.shape)
+        radio.calibration.predict(Motion(1.0))
+        observation = Observation.empty(4, 4, 2, 1.0)
+        observation.sender[:], observation.position[:] = range(4), corners
+        distance = np.linalg.norm(truth[:, None] - corners, axis=2)
+        observation.range[:] = 1.07 * distance + draw.normal(0, 0.5, (4, 4))
         observation.range_std[:] = 0.5
-        feed(observation, estimated(truth))
+        radio.calibrate(observation, estimated(truth))
 
 
 def test_calibration_learns_the_scale_of_ranges() -> None:
     radio = channel(range_calibration='online')
-    ranged_epochs(radio.calibrate)
+    ranged_epochs(radio)
     assert radio.calibration.scale == pytest.approx(1.07, abs=0.005)
     score = likelihood(radio, listen(ORIGIN, range=53.5, range_std=0.5), at([50.0, 53.5]))
     assert score[0] > -0.5
@@ -719,13 +723,13 @@ def test_calibration_learns_the_scale_of_ranges() -> None:
 
 def test_calibration_learns_nothing_from_asymmetric_errors() -> None:
     radio = channel({'range_noise': 'asymmetric_exponential'}, range_calibration='online')
-    ranged_epochs(radio.calibrate)
+    ranged_epochs(radio)
     assert radio.calibration.scale == 1.0
 
 
 def test_calibration_that_is_off_learns_nothing() -> None:
     radio = channel(range_calibration='off')
-    ranged_epochs(radio.calibrate)
+    ranged_epochs(radio)
     assert radio.calibration.scale == 1.0
 
 

@@ -2,7 +2,8 @@
 Motion models for Gaussian beliefs: what `motion.py` does to particles, in closed form.
 
 A state is the position (D components) followed by what the motion model remembers: a velocity, the
-heading of the odometry frame, or nothing. Shapes: mean (V, n), covariance (V, n, n).
+heading of the odometry frame, or nothing; what comes after that stays as it is. Shapes: mean
+(V, n), covariance (V, n, n).
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ class Wandering:
     def predict(self, mean: Array, covariance: Array, motion: Motion) -> tuple[Array, Array]:
         """Return the belief after the motion: see `Kinematics`."""
         variance = self._motion.reach(motion.elapsed) ** 2 / (self._dimension + 2)
-        return mean, covariance + variance * np.eye(self._dimension)
+        place = np.arange(self._dimension)
+        covariance = covariance.copy()
+        covariance[:, place, place] += variance
+        return mean, covariance
 
     def rotation(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Return that there is none."""
@@ -88,8 +92,11 @@ class Cruising:
 
     def predict(self, mean: Array, covariance: Array, motion: Motion) -> tuple[Array, Array]:
         """Return the belief after the motion: see `Kinematics`."""
-        return gaussian.predict(
-            mean, covariance, *gaussian.constant_velocity(self._motion, motion.elapsed))
+        size = 2 * self.extra
+        transition, noise = np.eye(mean.shape[1]), np.zeros(covariance.shape[1:])
+        transition[:size, :size], noise[:size, :size] = gaussian.constant_velocity(
+            self._motion, motion.elapsed)
+        return gaussian.predict(mean, covariance, transition, noise)
 
     def rotation(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Return that there is none."""
@@ -107,6 +114,7 @@ class Driving:
     def __init__(self, motion: OdometryMotion, dimension: int):
         self._motion = motion
         self._dimension = dimension
+        self._unit = slice(dimension, dimension + 2)
         self.extra = 2 if motion.heading else 0
 
     def begin(self, prior: Prior | None = None) -> tuple[Array, Array]:
@@ -144,7 +152,7 @@ class Driving:
         """Return the direction of the unit vector, and the variance across it."""
         if not self.extra:
             return _no_rotation(mean)
-        unit, spread = mean[:, -2:], covariance[:, -2:, -2:]
+        unit, spread = mean[:, self._unit], covariance[:, self._unit, self._unit]
         squared = np.maximum(np.square(unit).sum(axis=1), 1e-12)
         across = np.stack([-unit[:, 1], unit[:, 0]], axis=1) / squared[:, None]
         # Who points nowhere has no side to be uncertain across: that is as bad as can be.
@@ -155,9 +163,9 @@ class Driving:
     def _normalized(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Let the unit vector know its length."""
         length, slope, variance = gaussian.range_to(
-            mean[:, -2:], covariance[:, -2:, -2:], np.zeros((1, 2)))
+            mean[:, self._unit], covariance[:, self._unit, self._unit], np.zeros((1, 2)))
         gradient = np.zeros_like(mean)
-        gradient[:, -2:] = slope
+        gradient[:, self._unit] = slope
         return gaussian.update(
             mean, covariance, gradient, 1 - length, variance + _UNIT_STD ** 2)
 

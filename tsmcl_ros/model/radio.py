@@ -21,7 +21,9 @@ from tsmcl_ros.model.evidence import (
     ShadowedBoundary,
 )
 from tsmcl_ros.model.geometry import Reach
+from tsmcl_ros.model.kinematics import kinematics_of
 from tsmcl_ros.model.links import fit_links
+from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
     draw_asymmetric,
@@ -29,7 +31,7 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Observation
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Observation, Prior
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,10 @@ class EvidenceConfig(Config):
     range_calibration: str = param(
         'online', 'estimate scale and bias of the ranges while running, from range_scale and '
         'range_bias on', choices=('off', 'online'), live=True)
+    range_scale_std: float = param(
+        0.1, 'how far off range_scale may be, before ranges tell', above=0.0, high=1.0)
+    range_bias_std: float = param(
+        0.5, 'how far off range_bias may be, before ranges tell', unit='m', above=0.0)
     use_vehicles: bool = param(True, 'beacons of other vehicles count', live=True)
     echo_guard: float = param(
         1.0, 'how wary to be of knowledge that other vehicles may have from oneself: 1 lets it '
@@ -234,7 +240,9 @@ class Channel:
     def __init__(self, radio: RadioConfig, switches: EvidenceConfig = EvidenceConfig()):
         self.radio = radio
         self.switches = switches
-        self.calibration = RangeCalibration(radio.range_scale, radio.range_bias)
+        self.calibration = RangeCalibration(
+            radio.range_scale, radio.range_bias,
+            (switches.range_scale_std, switches.range_bias_std))
         self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
 
@@ -420,23 +428,39 @@ class Channel:
         """Return the rows (V, K) bool that hold a range or an rssi that counts."""
         return self.distances(observation)[2] | self.powered(observation)
 
-    def calibrate(self, observation: Observation, estimate: Estimate) -> None:
+    @property
+    def calibrates(self) -> bool:
+        """Whether ranges teach what they are like."""
+        # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
+        return self.switches.range_calibration == 'online' and not self._asymmetric
+
+    def follow(self, motion: MotionModel, vehicles: int, dimension: int) -> None:
+        """Learn from V vehicles that move by this model in D dimensions."""
+        self.calibration.follow(
+            kinematics_of(motion, dimension), vehicles, dimension, self._floor)
+
+    def calibrate(self, observation: Observation, estimate: Estimate) -> list[Prior]:
         """
         Learn from an epoch what the ranges are like, if that is switched on.
 
-        Vehicles that take most of their ranges for outliers are lost, and teach nothing. Nor do
-        ranges to other vehicles, whose positions were made with the same calibration.
+        Vehicles that take most of their ranges for outliers are lost, and teach nothing.
+
+        Returns
+        -------
+        list of Prior
+            What is known better by the way: see `RangeCalibration.opinions`.
+
         """
+        if not self.calibrates or np.isnan(observation.range).all():
+            return []
         ranged = observation.heard & ~np.isnan(observation.range)
-        if self.switches.range_calibration == 'off' or self._asymmetric or not ranged.any():
-            # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
-            return
-        std = np.where(observation.kind == ANCHOR, self._range_std(observation), np.inf)
         if self._floor > 0:
-            ranges = ranged.sum(axis=1)
-            lost = ~(estimate.log_likelihood > math.log(self._floor) / 2 * ranges)
-            std = np.where(lost[:, None], np.inf, std)
-        self.calibration.learn(observation, estimate, std)
+            lost = estimate.log_likelihood < math.log(self._floor) / 2 * ranged.sum(axis=1)
+            ranged &= ~lost[:, None]
+        self.calibration.learn(
+            observation, estimate, self._range_std(observation), ranged,
+            observation.kind == ANCHOR)
+        return self.calibration.opinions(estimate)
 
     def _measure(self, distance: Array, rng: np.random.Generator) -> Array:
         """Return what ranges say (V, A) [m] at these distances, never below 0."""
