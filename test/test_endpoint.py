@@ -141,7 +141,7 @@ def test_no_published_pose_ever_holds_nan():
         published += [data for estimate in target.localizer.due()
                       for _, data in target.poses(estimate)]
     found = [messages.decode_pose(data) for data in published]  # which refuses NaN
-    assert len(found) > 100
+    assert len(found) > 50  # who is placed anew has no pose until ranges tell one
 
 
 @pytest.mark.parametrize(('topic', 'what', 'data'), [

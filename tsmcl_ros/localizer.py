@@ -534,7 +534,6 @@ class Localizer:
         for prior in [*bridged, *self._priors]:
             self._begin(self._rotated(prior))
             self._credibility.forget(prior.vehicle)
-            self._settling.done[prior.vehicle] = True
         self._priors = []
         claimed = self.speakers.heed_silence(self._listen(observation))
         observation = self._guarded(claimed)
@@ -576,6 +575,7 @@ class Localizer:
         """Replace a vehicle's belief by one that rests on nothing that was heard before."""
         assert self._method is not None
         self._method.start(prior)
+        self._settling.done[prior.vehicle] = True
         self._hearsay.forget(prior.vehicle)
         self._outage.forget(prior.vehicle)
 

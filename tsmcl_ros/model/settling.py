@@ -45,7 +45,7 @@ def settled(observation: Observation, estimate: Estimate, ranges: tuple[Array, A
     Return the vehicles (V,) bool whose ranges do not bend the belief around their senders.
 
     All that is believed in is on average further from a sender than its mean is, by up to
-    tr(P) / 2 d. Where that is less than two of the range's errors, the mean is a place like others.
+    tr(P) / 2 d. Where that is less than two of the range's errors, the mean is a place like any.
 
     Parameters
     ----------
