@@ -357,3 +357,9 @@ def test_a_number_that_python_does_not_write_is_refused() -> None:
     power = next(item for item in parameters(EngineConfig) if item.name == 'power')
     with pytest.raises(ConfigError, match='power: a number of thousands of digits is not allowed'):
         power.parse('0x' + 'f' * 5000)
+
+
+def test_a_whole_number_of_thousands_of_digits_is_refused() -> None:
+    error = 'cylinders: a number of thousands of digits is not allowed, must be a whole number'
+    with pytest.raises(ConfigError, match=error):
+        EngineConfig(cylinders=2**20_000)

@@ -26,6 +26,7 @@ C = TypeVar('C', bound='Config')
 # What reading YAML may raise: numbers and dates that are none are ValueErrors.
 _UNREADABLE = (yaml.YAMLError, ValueError)
 _DEEPEST = 20
+_MOST_BITS = 14_000  # of a whole number, which is within the 4300 digits that Python writes
 _TAGS = (None, '!', 'tag:yaml.org,2002:str')
 _LARGEST_FILE = 2**18  # bytes; all parameters with their documentation are a tenth of it
 
@@ -71,7 +72,7 @@ class Parameter:
         """Return the error that names this parameter, the value, and what is allowed."""
         try:
             shown = repr(value)
-        except ValueError:  # Python writes no number of more than 4300 digits.
+        except ValueError:  # Longer ones Python does not write.
             shown = 'a number of thousands of digits'
         return ConfigError(f'{self.name}: {shown} is not allowed, must be {self.allowed}')
 
@@ -103,7 +104,8 @@ class Parameter:
                 (self.low is None or value >= self.low)
                 and (self.above is None or value > self.above)
                 and (self.high is None or value <= self.high)
-                and (self.type is int or math.isfinite(value))
+                and (value.bit_length() <= _MOST_BITS if self.type is int
+                     else math.isfinite(value))
             )
             if not fits:
                 raise self.refuse(value)

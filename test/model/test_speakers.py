@@ -103,6 +103,7 @@ def test_each_sender_is_news_once():
     ({'anchor_allowlist': ['9-3']}, "'9-3' is not allowed"),
     ({'anchor_allowlist': ['-3']}, "'-3' is not allowed"),
     ({'anchor_allowlist': ['4294967296']}, "'4294967296' is not allowed"),
+    ({'anchor_allowlist': ['9' * 5000]}, "is not allowed, must be 'all', 'map', an id, or a span"),
     ({'anchor_allowlist': []}, 'anchor_allowlist: an empty list is not allowed'),
     ({'vehicle_allowlist': ['map']}, "vehicle_allowlist: 'map' is not allowed, must be 'all', an "
      'id')])

@@ -18,6 +18,7 @@ from tsmcl_ros.types import ANCHOR, Array, ConfigError, Observation, PADDED, VEH
 
 _ALL, _MAP = 'all', 'map'
 _MAX_ID = 2**32 - 1
+_MOST_DIGITS = 20  # zeros in front included
 # Who makes up ids can make up four billion: so many are kept by name.
 _MOST_NAMED = 100
 
@@ -156,7 +157,7 @@ def _span(word: str) -> tuple[int, int] | None:
     """Return the first and the last id that a word stands for, None if it is no span."""
     first, dash, last = word.partition('-')
     ends = first.strip(), (last if dash else first).strip()
-    if not all(end.isdecimal() for end in ends):
+    if not all(end.isdecimal() and len(end) <= _MOST_DIGITS for end in ends):
         return None
     low, high = map(int, ends)
     return (low, high) if low <= high <= _MAX_ID else None
