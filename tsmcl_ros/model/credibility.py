@@ -166,7 +166,7 @@ class Credibility:
                 self.config.contradiction, mean[some], variance[some])
             # A belief that has stood for long is not refuted by one sender.
             refuted = verdict.refutation > (self._age[some] >= _PROBATION)
-            anew = settled[some] & (self._doubtful[some] | refuted)
+            anew = settled[some] & (self._doubtful[some] | refuted) & recalled.used.any(axis=1)
             trusted = settled[some] & ~anew
             pairs = pair(some[:, None], recalled.sender)
             accused.append(pairs[verdict.against])
