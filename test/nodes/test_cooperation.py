@@ -24,7 +24,8 @@ WORLD = {'vehicles': 6, 'area_x': 60.0, 'area_y': 30.0, 'min_speed': 0.5, 'max_s
          'radio_range': 30.0, 'measure_range': True, 'range_std': 0.3, 'odom_noise': 0.1}
 FLEET = {'min_particles': 200, 'max_particles': 1000, 'motion_model': 'odometry',
          'odom_heading': 'known', 'odom_std': 0.1, 'alpha3': 0.0, 'alpha4': 0.0,
-         'radio_range': 30.0, 'range_std': 0.3, 'range_calibration': 'off', 'seed': 1}
+         'radio_range': 30.0, 'range_std': 0.3, 'range_calibration': 'off', 'seed': 1,
+         'hold_circles': False}
 SEED, EPOCHS = 3, 10
 FAR = [0, 3]
 

@@ -112,8 +112,10 @@ def outvoted_by_disks(channel: Channel, disks: Disks, silent: Silence | None, li
     further = np.zeros(places.shape[:2], int)
     if silent is not None:
         radius = channel.radius(silent.max_range, silent.sender)
-        further += ((silent.known & (radius > 0))[:, None] & (-_excess(
-            channel, places, silent.position, radius, belief) > limit)).sum(axis=2)
+        known = silent.known & (radius > 0)
+        further += (known[:, None] & (-_excess(
+            channel, places, silent.position, np.where(known, radius, 1), belief) > limit)
+        ).sum(axis=2)
     against, alike, best, majority = _agreed(missed[:, 1:], further[:, 1:], sound, disks.used)
     number = missed[:, 0].sum(axis=1) + further[:, 0]
     # Where several majorities are possible, the belief's own is the likely one.
