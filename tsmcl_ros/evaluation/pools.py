@@ -24,7 +24,7 @@ from tsmcl_ros.types import TsmclError
 K = TypeVar('K', bound=Hashable)
 R = TypeVar('R')
 
-PATIENCE = 5  # s, for a scheduler and for its first worker, both of which run already
+PATIENCE = 30  # s, for a scheduler, and for its first worker, which may be starting again
 
 
 class Pool(Protocol):
