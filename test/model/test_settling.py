@@ -54,13 +54,10 @@ def test_who_has_a_place_keeps_it_until_it_is_placed_anew():
     assert np.isnan(judged(settling, circle(), reinitialized=True)).all()
 
 
-def test_ranges_to_three_senders_make_a_place_one_after_the_other():
-    settling = Settling(1)
-    for sender in (1, 2, 1, 2):
-        scan = replace(heard([0.0, 0.0]), sender=np.array([[sender]]))
-        assert np.isnan(judged(settling, circle(), scan=scan)).all()
-    third = replace(heard([0.0, 0.0]), sender=np.array([[3]]))
-    assert np.isfinite(judged(settling, circle(), scan=third)).all()
+def test_ranges_to_three_senders_at_once_make_a_place():
+    scan = Observation.empty(1, 3, 2, 0.0)
+    scan.sender[0] = 1, 2, 3
+    assert np.isfinite(judged(Settling(1), circle(), scan=scan)).all()
 
 
 def test_silence_makes_no_place():

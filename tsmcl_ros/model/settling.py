@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tsmcl_ros.types import Array, Estimate, Observation, pairs_of, split
+from tsmcl_ros.types import Array, Estimate, Observation
 
 
 class Settling:
@@ -12,7 +12,7 @@ class Settling:
 
     One range leaves a vehicle anywhere on a circle, whose middle, the mean of what is believed,
     is where it certainly is not; two leave it at either of two points. So a vehicle has a place
-    once it has ranges to D + 1 senders, or a belief that is no longer bent around them.
+    once it has ranges to D + 1 senders at once, or a belief that is no longer bent around them.
 
     Parameters
     ----------
@@ -28,22 +28,14 @@ class Settling:
 
     def __init__(self, vehicles: int):
         self.done = np.zeros(vehicles, bool)
-        self._ranged = np.zeros(0, np.int64)
 
     def judge(self, observation: Observation, estimate: Estimate,
               ranges: tuple[Array, Array, Array]) -> None:
         """Judge by an epoch's beacons and the estimate made from them: see `settled`."""
         self.done &= ~estimate.reinitialized
-        if self.done.all():
-            self._ranged = self._ranged[:0]
-            return
-        used = ranges[2]
-        vehicle, _ = split(self._ranged)
-        kept = self._ranged[~(self.done | estimate.reinitialized)[vehicle]]
-        self._ranged = np.union1d(kept, pairs_of(observation.sender)[used])
-        number = np.bincount(split(self._ranged)[0], minlength=len(used))
+        enough = ranges[2].sum(axis=1) > estimate.mean.shape[1]
         self.done |= observation.heard.any(axis=1) & (
-            (number > estimate.mean.shape[1]) | settled(observation, estimate, ranges))
+            enough | settled(observation, estimate, ranges))
 
     def placed(self, estimate: Estimate) -> Array:
         """Return the estimated positions (V, D) [m], NaN of who has no place."""
