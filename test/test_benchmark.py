@@ -12,6 +12,7 @@ import pytest
 FOLDER = Path(__file__).parent / 'benchmark'
 
 
+@pytest.mark.accuracy
 def test_a_benchmark_prints_its_table_and_writes_it_as_a_page(tmp_path: Path) -> None:
     page = tmp_path / 'page.md'
     printed = subprocess.run(

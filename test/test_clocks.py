@@ -64,7 +64,7 @@ def run(rows, vehicles=1, **settings):
             told.refused.append((vehicle, str(error)))
         told.refused += [(who, str(error)) for who, error in localizer.refused()]
         told.estimates += localizer.due()
-        told.waiting = max(told.waiting, len(localizer._pending))
+        told.waiting = max(told.waiting, localizer.schedule.waiting)
     told.estimates += localizer.finish()
     return told
 
@@ -147,7 +147,7 @@ def test_memory_does_not_grow_while_a_vehicle_is_silent_or_wrong():
             if row[2] != 2 or row[0] < 105]
     told = run(rows, vehicles=3)
     assert told.waiting <= 3
-    assert len(told.localizer._timeline._held) <= 1000
+    assert len(told.localizer.schedule._timeline._held) <= 1000
     assert len(served(told, 0)) == 40
 
 

@@ -57,6 +57,15 @@ def test_who_is_ignored_is_told_and_how_often():
     assert {values['senders ignored'] for values in told} == {'2, 3'}
 
 
+def test_who_says_what_cannot_be_true_is_told_and_how_often():
+    localizer = Localizer({'method': 'ekf', 'motion_model': 'velocity'}, 2)
+    localizer.untrue.count(1, [7, 9, 7], 'range -1 is not allowed')
+    told = [each.values for each in diagnose(
+        localizer, VEHICLES, 'here', localizer.health.status, {})]
+    assert [values['beacons that cannot be true'] for values in told] == ['0', '3']
+    assert {values['senders of what cannot be true'] for values in told} == {'7, 9'}
+
+
 def test_a_vehicle_that_no_beacon_has_placed_is_lost():
     _, diagnosis = run(*still(5))
     assert diagnosis.level == 2

@@ -187,14 +187,62 @@ LINE = np.full((3, 3), 4.0)  # variance along one direction only
     ({'covariance': LINE}, 'vehicle 900 claims a singular covariance'),
     ({'covariance': 0}, 'vehicle 900 claims a singular covariance'),
     ({'covariance': LINE - 2 * np.eye(3)}, 'cov_xx to cov_zz are not allowed'),
+    ({'covariance': np.diag([1, -1, 1])}, 'cov_yy -1 of id 900 is not allowed'),
+    ({'covariance': np.nan}, 'vehicle 900 claims a singular covariance'),
+    ({'position': np.nan}, 'x nan of id 900 is not allowed, must be a number'),
+    ({'position': 2e5}, 'x 200000 of id 900 is not allowed, must be within 100 km'),
+    ({'kind': 7}, 'kind 7 is not allowed'), ({'hops': 0}, 'hops 0 is not allowed'),
+    ({'max_range': np.inf}, 'max_range inf of id 900 is not allowed'),
+    ({'rssi': np.inf}, 'rssi inf of id 900 is not allowed'),
     ({'range': -1}, 'range -1 of id 900 is not allowed')])
-def test_what_cannot_be_true_of_a_vehicle_is_refused_and_the_filter_lives_on(fields, complaint):
+def test_who_says_what_cannot_be_true_is_left_out_and_counted_and_the_others_are_heard(
+        fields, complaint):
+    target, without = endpoint('/a'), endpoint('/a')
+    for stamp in (1.0, 2.0):
+        give(target, '/a/beacons', encoded(replace(neighbour(**fields), stamp=stamp)))
+        give(without, '/a/beacons', encoded(scan(stamp, (20, 30))))
+    given = messages.decode_poses([data for _, data in poses(target)])
+    expected = messages.decode_poses([data for _, data in poses(without)])
+    np.testing.assert_allclose(given.position, expected.position, atol=1)
+    tally = target.localizer.untrue
+    assert (tally.ignored.tolist(), tally.senders) == ([2], {900: 2})
+    assert complaint in tally.reason
+
+
+def test_who_goes_on_saying_what_cannot_be_true_is_a_suspect():
     target = endpoint('/a')
-    with pytest.raises(MessageError, match=complaint):
-        give(target, '/a/beacons', encoded(neighbour(**fields)))
-    give(target, '/a/beacons', encoded(neighbour()))
-    [(_, data)] = poses(target)
-    np.testing.assert_allclose(messages.decode_pose(data).position[:2], (20, 30), atol=1)
+    for stamp in range(1, 8):
+        give(target, '/a/beacons', encoded(replace(neighbour(range=-1), stamp=float(stamp))))
+    assert len(poses(target)) == 7
+    assert target.localizer.health.suspects == [[900]]
+
+
+def test_an_anchor_that_says_what_cannot_be_true_is_heard_and_so_not_missed():
+    target = endpoint('/a', radio_range=200.0, silence='map')
+    give(target, '/anchor_map', encoded(scan(0.0)))
+    for stamp in range(1, 8):
+        broken = scan(float(stamp), (20, 30))
+        broken.range[0, 2] = -1
+        give(target, '/a/beacons', encoded(broken))
+    assert len(poses(target)) == 7
+    assert target.localizer.health.suspects == [[3]]
+    assert target.localizer.health.lost[0] < 0.01
+
+
+def test_a_message_is_rejected_if_nothing_in_it_can_be_true():
+    target = endpoint('/a')
+    broken = scan(1.0, (20, 30))
+    broken.position[:] = 4e6
+    with pytest.raises(MessageError, match='within 100 km of the origin: use a local origin'):
+        give(target, '/a/beacons', encoded(broken))
+
+
+@pytest.mark.parametrize('field', ['position', 'range'])
+def test_a_map_is_rejected_for_one_anchor_that_cannot_be_true(field):
+    target, map_ = endpoint('/a'), scan(0.0, (20, 30))
+    getattr(map_, field)[0, 1] = -np.inf
+    with pytest.raises(MessageError, match='-inf of id 2 is not allowed'):
+        give(target, '/anchor_map', encoded(map_))
 
 
 def test_a_vehicle_whose_range_was_not_measured_is_a_reference_all_the_same():

@@ -603,6 +603,7 @@ def test_a_whole_fleets_epoch_can_be_handed_over_at_once():
         estimate.mean, [place(stamp, vehicle) for vehicle in (0, 1)], atol=1.0)
 
 
+@pytest.mark.accuracy
 def test_memory_does_not_grow():
     localizer = Localizer({'min_particles': 10, 'max_particles': 10, 'max_iterations': 0})
     tracemalloc.start()
@@ -648,6 +649,7 @@ def nees(errors, estimates):
     return errors ** 2 / np.array(variance)
 
 
+@pytest.mark.accuracy
 def test_without_odometry_an_outage_is_bridged_by_how_vehicles_used_to_move():
     forgotten, estimates = through_outage()
     constant, _ = through_outage(outage_predictor='none')
@@ -673,6 +675,7 @@ def test_what_is_said_to_move_at_random_is_not_predicted_otherwise():
     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.accuracy
 def test_after_a_long_outage_the_method_goes_on_from_where_the_past_leads():
     errors = []
     for predictor in ('velocity', 'none'):
@@ -688,6 +691,7 @@ def test_after_a_long_outage_the_method_goes_on_from_where_the_past_leads():
     assert errors[0] < 0.7 * errors[1]
 
 
+@pytest.mark.accuracy
 def test_a_short_outage_leaves_the_method_alone():
     ends = []
     for predictor in ('velocity', 'none'):

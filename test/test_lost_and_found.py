@@ -174,8 +174,9 @@ def test_who_is_informed_again_is_ok_within_20_epochs_and_never_wrong_unsaid(
 
 @pytest.mark.parametrize('method', ['r_mcl', 'cooperative', 'ekf'])
 def test_whoever_merely_hears_who_is_near_takes_itself_for_as_certain_as_it_is(method):
-    _, consistent = followed('range-free', method, EPOCHS, deaf(0, 0))
-    assert consistent.mean() > 0.85
+    # A vehicle that few edges pass stays where it is believed to be, so that one run tells little.
+    runs = [followed('range-free', method, EPOCHS, deaf(0, 0), seed=seed) for seed in (1, 2)]
+    assert np.mean([consistent.mean() for _, consistent in runs]) > 0.85
 
 
 def test_beacons_that_get_lost_as_often_as_configured_cost_a_range_free_vehicle_little():

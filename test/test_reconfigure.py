@@ -8,7 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tsmcl_ros.localizer import Localizer, OK, STALE
+from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.health import OK, STALE
 from tsmcl_ros.types import ConfigError, Estimate, Links, Observation, VEHICLE
 from tsmcl_ros.world import Epoch, make_world
 

@@ -42,14 +42,10 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
 
     """
     health, estimate, speakers = localizer.health, localizer.estimate, localizer.speakers
+    untrue = localizer.untrue
     placed = np.zeros(len(vehicles), bool)
-    common = {'method': localizer.config.method, 'seed': localizer.config.seed}
-    if localizer.channel.calibrates:
-        calibration = localizer.channel.calibration
-        scale_std, bias_std = np.sqrt(np.diag(calibration.covariance)).tolist()
-        common |= {
-            'range scale': f'{calibration.scale:.4f} +- {scale_std:.4f}',
-            'range bias [m]': f'{calibration.bias:.3f} +- {bias_std:.3f}'}
+    common = {'method': localizer.config.method, 'seed': localizer.config.seed,
+              **localizer.channel.calibrated()}
     if estimate is not None:
         placed = np.isfinite(estimate.mean).all(axis=1)
         common['particles'] = estimate.particles
@@ -69,6 +65,9 @@ def diagnose(localizer: Localizer, vehicles: Sequence[str], node: str, status: A
         if not speakers.heed_all:
             values['beacons and ranges ignored'] = int(speakers.ignored[vehicle])
             values['senders ignored'] = ', '.join(map(str, sorted(speakers.senders)))
+        if untrue.senders:
+            values['beacons that cannot be true'] = int(untrue.ignored[vehicle])
+            values['senders of what cannot be true'] = ', '.join(map(str, sorted(untrue.senders)))
         diagnoses.append(Diagnosis(
             _LEVELS[now], f'{node}: {name}',
             f'{reason}, suspects {suspects}' if suspects else reason, name,

@@ -132,9 +132,11 @@ class Endpoint:
         self.localizer.anchor_links(links)
 
     def _beacons(self, vehicle: int, data: bytes) -> None:
-        observation, frame_id = messages.decode_beacons(data)
-        self._check_frame('beacons', frame_id)
-        self.localizer.beacons(vehicle, observation)
+        scan = messages.decode_scan(data)
+        self._check_frame('beacons', scan.frame_id)
+        if scan.fault:
+            self.localizer.untrue.count(vehicle, scan.untrue.tolist(), scan.fault)
+        self.localizer.beacons(vehicle, scan.observation)
         self.ranges.gather()
 
     def _odometry(self, vehicle: int, data: bytes) -> None:

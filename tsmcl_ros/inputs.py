@@ -20,6 +20,7 @@ from tsmcl_ros import messages
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.gathering import Gatherer, Reading, Track
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.tally import listed
 from tsmcl_ros.topics import absolute, compiled, few, match_topic, of_kinds
 from tsmcl_ros.types import ANCHOR, Array, ConfigError, MessageError, Observation, VEHICLE
 
@@ -231,7 +232,7 @@ class RangeInput:
     def _take(self, vehicle: int, topic: str, reading: Reading) -> None:
         """Take in a range of a vehicle, if it is in time."""
         self._note_restarts()
-        if not self._localizer.admit(
+        if not self._localizer.schedule.admit(
                 'range', vehicle, reading.stamp,
                 self._gatherer.last(vehicle, topic, reading.sender),
                 partial(self._take, vehicle, topic, reading)):
@@ -277,10 +278,9 @@ class RangeInput:
 
 def unplaced_note(counts: Mapping[int, int]) -> str:
     """Say what to do about ranges, so many of each sender, that nobody has placed."""
-    listed = ', '.join(f'{count} of id {sender}' for sender, count in sorted(counts.items()))
     return (
-        f'left out ranges, {listed}, as nobody tells where these are: give their places in '
-        'anchors, or their topics of poses in references, or leave their ranges out')
+        f'left out ranges, {listed(counts)}, as nobody tells where these are: give their places '
+        'in anchors, or their topics of poses in references, or leave their ranges out')
 
 
 def _sender(text: str, is_group: bool) -> int:

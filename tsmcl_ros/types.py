@@ -21,6 +21,8 @@ Rows = tuple[Array, Mapping[str, Array]]
 T = TypeVar('T')
 
 ANCHOR, VEHICLE = 0, 1
+# A sender that says what cannot be true: it was heard, and is left out.
+UNTRUE = 2
 PADDED = -1
 _ID_BITS = 32
 # Most base periods that may lie between two beacons.
@@ -127,7 +129,7 @@ class Observation:
     sender : (V, K) int64
         Identity of each sender, -1 where padded.
     kind : (V, K) uint8
-        0 for an anchor, 1 for a vehicle.
+        0 for an anchor, 1 for a vehicle, 2 for whoever says what cannot be true.
     hops : (V, K) uint8
         1 if heard directly, 2 if relayed by a neighbour.
     position : (V, K, D) float32

@@ -39,7 +39,7 @@ def measure() -> Section:
         'and otherwise its defaults, the method among them. The echo takes the same messages raw '
         'on the same executor and publishes a pose of constant bytes with the same quality of '
         'service. Processor time is that of all '
-        "threads of a process, DDS's among them; the filter's is that of `Localizer._epoch` in "
+        "threads of a process, DDS's among them; the filter's is that of `Core.epoch` in "
         'the node, and the message path is the rest. Echo and node run in turn, medians of '
         f'{ROUNDS} rounds. Latency is from beacon sent to pose received; at {RATE:,g} Hz it is '
         'that of a queue where an epoch takes longer than its time.\n\n'

@@ -3,7 +3,7 @@ The localizer node, which tells how much of its processor time goes into the fil
 
     python test/benchmark/timed_localizer.py FILE --ros-args ...
 
-FILE holds one double, which the time of `Localizer._epoch` [s] is added to.
+FILE holds one double, which the time of `Core.epoch` [s] is added to.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 import time
 
 import numpy as np
-from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.localizer.core import Core
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.types import Estimate, Observation
@@ -21,15 +21,15 @@ from tsmcl_ros.types import Estimate, Observation
 def main(path: str, arguments: list[str]) -> int:
     """Run the node, its filter timed from outside, and return the exit code."""
     spent = np.memmap(path, float, 'r+', shape=1)
-    work = Localizer._epoch
+    work = Core.epoch
 
-    def timed(localizer: Localizer, observation: Observation) -> Estimate:
+    def timed(core: Core, observation: Observation) -> Estimate:
         begin = time.thread_time()
-        estimate = work(localizer, observation)
+        estimate = work(core, observation)
         spent[0] += time.thread_time() - begin
         return estimate
 
-    Localizer._epoch = timed
+    Core.epoch = timed
     return runtime.main(LocalizerNode, arguments)
 
 

@@ -85,5 +85,6 @@ _NAMES = [name.encode() + b'\0' for name in (*messages.BEACON.names, 'peer_id', 
 
 TARGETS = (
     Target('beacons', messages.decode_beacons, _beacons, _NAMES, 18),
+    Target('scan', messages.decode_scan, _beacons, _NAMES, 18),
     Target('links', messages.decode_links, _links, _NAMES, 6),
 )

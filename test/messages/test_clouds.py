@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 import math
+import time
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import PointCloud2, PointField
 from tsmcl_ros import cdr, messages
 from tsmcl_ros.messages import beacons
-from tsmcl_ros.types import Links, MessageError, Observation
+from tsmcl_ros.types import Links, MessageError, Observation, UNTRUE
 
 pytestmark = pytest.mark.filterwarnings('error', 'ignore::DeprecationWarning:lark')
 
@@ -342,6 +343,58 @@ def test_a_scan_is_refused_for(what):
     make, error = BAD_CLOUDS[what]
     with pytest.raises(MessageError, match=error):
         messages.decode_beacons(make())
+
+
+SOUND = beacon(1, kind=0, hops=1, range=3.0, rssi=-60.0, cov_xx=0.0, cov_xy=0.0, cov_yy=0.0)
+UNTRUE_ROWS = [{'x': math.nan}, {'y': 2e5}, {'range': -1.0}, {'rssi': math.inf}, {'kind': 2},
+               {'hops': 0}, {'cov_yy': -1.0}, {'cov_xy': math.inf}, {'cov_xy': 1.0},
+               {'cov_xx': 1.0, 'cov_xy': 2.0, 'cov_yy': 1.0}]
+
+
+@pytest.mark.parametrize('values', UNTRUE_ROWS, ids=str)
+def test_of_a_row_that_cannot_be_true_only_its_sender_is_left(values):
+    rows = [SOUND, {**SOUND, 'id': 5, **values}, {**SOUND, 'id': 7}]
+    scan = messages.decode_scan(cloud(rows))
+    assert scan.untrue.tolist() == [5]
+    assert scan.fault
+    assert scan.observation.sender.tolist() == [[1, 5, 7]]
+    assert scan.observation.kind.tolist() == [[0, UNTRUE, 0]]
+    assert np.isnan(scan.observation.range[0, 1])
+    for array in (scan.observation.position, scan.observation.covariance):
+        assert not array[0, 1].any()
+    for sound, row in ((0, SOUND), (2, SOUND)):
+        assert scan.observation.range[0, sound] == row['range']
+        assert scan.observation.position[0, sound].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_all_rows_that_cannot_be_true_are_found():
+    rows = [SOUND, *({**SOUND, 'id': 10 + i, **each} for i, each in enumerate(UNTRUE_ROWS))]
+    assert messages.decode_scan(cloud(rows)).untrue.tolist() == [
+        10 + i for i in range(len(UNTRUE_ROWS))]
+
+
+def test_who_uses_anothers_id_does_not_silence_it_by_what_cannot_be_true():
+    scan = messages.decode_scan(cloud([{**SOUND, 'range': -1.0}, SOUND]))
+    assert scan.observation.sender.tolist() == [[1]]
+    assert scan.observation.range.tolist() == [[3.0]]
+    assert scan.untrue.tolist() == [1]
+
+
+def test_a_scan_in_which_nothing_can_be_true_is_refused():
+    with pytest.raises(MessageError, match='range -1 of id 1 is not allowed'):
+        messages.decode_scan(cloud([{**SOUND, 'range': -1.0}]))
+
+
+def test_a_scan_of_many_rows_that_cannot_be_true_takes_no_long():
+    rows = np.zeros(2**16, [('x', 'f4'), ('y', 'f4'), ('z', 'f4'), ('id', 'u4'), ('rssi', 'f4')])
+    rows['id'] = np.arange(len(rows))
+    rows['rssi'][1:] = math.inf
+    layout = [(name, {'id': 'u4'}.get(name, 'f4'), 4 * i)
+              for i, name in enumerate(rows.dtype.names)]
+    data = cloud([{}], layout, data=rows.tobytes(), width=len(rows), row_step=rows.nbytes)
+    begin = time.process_time()
+    assert len(messages.decode_scan(data).untrue) == len(rows) - 1
+    assert time.process_time() - begin < 1
 
 
 def test_a_bad_layout_is_refused_every_time():

@@ -63,6 +63,7 @@ def parked() -> tuple[np.ndarray, Observation, Estimate]:
     return truth, heard, grid.update(heard)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('count', [50, 200])
 def test_vehicles_among_anchors_are_localized_as_well_as_is_possible(
         count: int, parked: tuple[np.ndarray, Observation, Estimate]) -> None:
@@ -75,6 +76,7 @@ def test_vehicles_among_anchors_are_localized_as_well_as_is_possible(
     assert np.median(spread / optimum) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.accuracy
 def test_propagated_beliefs_come_near_to_what_is_possible(
         parked: tuple[np.ndarray, Observation, Estimate]) -> None:
     truth, heard, exact = parked
@@ -134,6 +136,7 @@ def test_a_belief_tells_the_crossings_of_two_rings_apart(method: str) -> None:
     np.testing.assert_allclose(estimate.mean[0], [0.0, 15.0], atol=0.5)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', COOPERATIVE)
 def test_a_vehicle_that_moves_is_followed_by_a_single_range(method: str) -> None:
     filter_ = make(method, radio={'range_std': 1.0}, vehicles=20, min_particles=200)

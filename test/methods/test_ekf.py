@@ -210,6 +210,7 @@ def test_the_period_follows_the_residual() -> None:
     np.testing.assert_array_equal(heard_nothing.period_factor, [15, 1])
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(('count', 'noise'), [(6, 0.5), (6, 8.0), (18, 0.5), (18, 8.0)])
 def test_a_normalized_residual_asks_alike_whatever_the_noise_and_the_anchors(
         count: int, noise: float) -> None:
@@ -232,6 +233,7 @@ def turning(vehicles: int, elapsed: float) -> list[np.ndarray]:
     return [way := way + elapsed * np.eye(3)[int(step >= 15)] * 2.0 for step in range(25)]
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('elapsed', [1.0, 4.0])
 def test_a_noticed_turn_costs_less(elapsed: float) -> None:
     anchors, errors = field(), []

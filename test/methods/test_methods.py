@@ -114,6 +114,7 @@ def linear_run(filter_: Estimator, steps: int = 12) -> tuple[list[Estimate], lis
     return estimates, measured
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', BAYESIAN)
 def test_linear_gaussian_steps_are_those_of_a_kalman_filter(method: str) -> None:
     filter_ = make(method, {'radio_range': 0.0}, {'odom_std': 1.0}, particles=20_000,
@@ -134,6 +135,7 @@ def test_linear_gaussian_steps_are_those_of_a_kalman_filter(method: str) -> None
             estimate.covariance[0], covariance, atol=variance_off * std ** 2)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', sorted(set(PARTICLES) & BAYESIAN.keys()))
 def test_correlated_velocity_is_that_of_a_kalman_filter(method: str) -> None:
     filter_ = make(method, {'radio_range': 0.0},
@@ -210,6 +212,7 @@ def test_two_anchors_heard_leave_the_lens_of_their_disks(method: str, apart: flo
     np.testing.assert_allclose(first.mean.mean(axis=0), [0.0, 0.0], atol=0.05 * lens(apart))
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', METHODS)
 def test_standing_still_two_anchors_teach_nothing_new(method: str) -> None:
     vehicles = 1 if method == 'grid' else 20
@@ -249,6 +252,7 @@ def random_world(method: str, silence: str, particles: int = 400) -> float:
     return math.sqrt(np.mean(squares[10:]))
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(('silence', 'share'), [('none', 0.05), ('map', 0.1)])
 def test_400_particles_come_near_the_exact_filter(silence: str, share: float) -> None:
     exact = random_world('grid', silence)
@@ -342,28 +346,31 @@ def observations(draw: st.DrawFn) -> Observation:
     return observation
 
 
-@pytest.mark.parametrize('method', METHODS)
+# All methods get the same examples, as to draw one takes longer than most methods.
 @given(model=st.sampled_from(['disk', 'lognormal']), outliers=st.sampled_from([0.0, 0.1]),
        first=observations(), second=observations(), measured=st.booleans())
 @hypothesis_settings(max_examples=60)
 def test_no_estimate_of_a_vehicle_with_a_place_is_ever_nan(
-        method: str, model: str, outliers: float, first: Observation, second: Observation,
-        measured: bool) -> None:
-    filter_ = make(method, {'radio_model': model}, {'odom_std': 1.0}, vehicles=2, particles=20,
-                   area=(-1000.0, 1000.0), cell=100.0, outliers=outliers)
-    placed = np.zeros(2, bool)
-    for observation in (first, second, Observation.empty(2, 0, 2, 3.0)):
-        filter_.predict(moved(3.0, vehicles=2) if measured else Motion(1.0))
-        estimate = filter_.update(observation)
-        placed |= observation.heard.any(axis=1)
-        for values in (estimate.mean, estimate.covariance):
-            np.testing.assert_array_equal(
-                np.isfinite(values).reshape(2, -1), np.repeat(placed[:, None], values[0].size, 1))
-        # A covariance that others divide by is symmetric, and positive but for rounding.
-        covariance = estimate.covariance[placed]
-        np.testing.assert_allclose(covariance, np.swapaxes(covariance, 1, 2), atol=1e-3)
-        assert (np.linalg.eigvalsh(covariance) > -1e-3).all()
-        assert np.isfinite(filter_.particles[placed]).all()
+        model: str, outliers: float, first: Observation, second: Observation, measured: bool
+        ) -> None:
+    for method in METHODS:
+        filter_ = make(method, {'radio_model': model}, {'odom_std': 1.0}, vehicles=2,
+                       particles=20, area=(-1000.0, 1000.0), cell=100.0, outliers=outliers)
+        placed = np.zeros(2, bool)
+        for observation in (first, second, Observation.empty(2, 0, 2, 3.0)):
+            filter_.predict(moved(3.0, vehicles=2) if measured else Motion(1.0))
+            estimate = filter_.update(observation)
+            placed |= observation.heard.any(axis=1)
+            for values in (estimate.mean, estimate.covariance):
+                np.testing.assert_array_equal(
+                    np.isfinite(values).reshape(2, -1),
+                    np.repeat(placed[:, None], values[0].size, 1), method)
+            # A covariance that others divide by is symmetric, and positive but for rounding.
+            covariance = estimate.covariance[placed]
+            np.testing.assert_allclose(
+                covariance, np.swapaxes(covariance, 1, 2), atol=1e-3, err_msg=method)
+            assert (np.linalg.eigvalsh(covariance) > -1e-3).all(), method
+            assert np.isfinite(filter_.particles[placed]).all(), method
 
 
 # Fleets and seeds
@@ -378,6 +385,7 @@ def settled(method: str, vehicles: int, seed: int) -> np.ndarray:
     return estimate.mean
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', PARTICLES)
 def test_a_fleet_is_localized_as_its_vehicles_alone_are(method: str) -> None:
     fleet = settled(method, 150, seed=1)
@@ -386,6 +394,7 @@ def test_a_fleet_is_localized_as_its_vehicles_alone_are(method: str) -> None:
         assert stats.ks_2samp(fleet[:, axis], alone[:, axis]).pvalue > SIGNIFICANCE
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', PARTICLES)
 def test_vehicles_of_a_fleet_are_independent(method: str) -> None:
     fleet = settled(method, 300, seed=1)

@@ -50,6 +50,7 @@ def moved(x: float = 0.0) -> Motion:
     return Motion(1.0, np.array([[x, 0.0]]), np.zeros(1))
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('motion', [RANDOM, ODOMETRY])
 def test_the_posterior_is_that_of_the_exact_filter(motion: dict[str, Any]) -> None:
     exact = Grid(GridConfig(grid_cell=2.0, grid_x_min=-130.0, grid_x_max=130.0, grid_y_min=-130.0,
@@ -86,6 +87,7 @@ def follow(kind: Any, config: Any, particles: int) -> np.ndarray:
     return np.asarray(estimate.mean)
 
 
+@pytest.mark.accuracy
 def test_candidates_that_count_by_weight_say_more_than_survivors_of_rejection() -> None:
     errors = {}
     for kind, config in ((RMcl, RMclConfig), (Mcb, McbConfig)):

@@ -32,12 +32,14 @@ def follow(method: str, epochs: int, **settings: object) -> tuple[np.ndarray, in
     return np.linalg.norm(estimate.mean - TRUTH, axis=1), again
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', ['ts_mcl', 'mcl', 'mcb', 'r_mcl'])
 def test_a_wrong_start_is_left_within_ten_epochs(method: str) -> None:
     error, _ = follow(method, 10)
     assert error.max() < 5.0
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('method', ['ts_mcl', 'mcl', 'mcb', 'r_mcl'])
 def test_it_takes_one_placing_a_vehicle(method: str) -> None:
     assert follow(method, 30)[1] == VEHICLES

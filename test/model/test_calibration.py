@@ -71,15 +71,18 @@ def test_it_starts_from_what_is_configured():
     assert (found.scale, found.bias) == (1.02, -0.4)
 
 
-@pytest.mark.parametrize(
-    ('scale', 'bias'), [(1.07, 0.3), (1.0, 0.0), (0.93, 0.5), (1.1, -0.5), (1.0, 0.8)])
-def test_scale_and_offset_are_recovered_though_the_estimates_are_wrong(scale, bias):
-    found = drive(calibration(), 500, scale=scale, bias=bias)
+@pytest.mark.accuracy
+@pytest.mark.parametrize(('scale', 'bias', 'vehicles'), [
+    (1.07, 0.3, 1), (1.07, 0.3, 10), (1.0, 0.0, 10), (0.93, 0.5, 10), (1.1, -0.5, 10),
+    (1.0, 0.8, 10)])
+def test_scale_and_offset_are_recovered_though_the_estimates_are_wrong(scale, bias, vehicles):
+    found = drive(calibration(vehicles), 500 // vehicles, vehicles, scale=scale, bias=bias)
     # 0.5 m over sqrt(2000) ranges of distances that spread by 15 m, the places unknown.
     assert found.scale == pytest.approx(scale, abs=0.01)
     assert found.bias == pytest.approx(bias, abs=0.3)
 
 
+@pytest.mark.accuracy
 def test_it_tells_how_well_it_is_known():
     errors = []
     for seed in range(12):
@@ -114,12 +117,14 @@ def test_a_fleet_knows_more_than_one_vehicle():
     assert together.scale == pytest.approx(1.07, abs=0.01)
 
 
+@pytest.mark.accuracy
 def test_it_follows_a_radio_that_changes():
     found = drive(calibration(10), 60, vehicles=10, scale=1.05)
     drive(found, 600, vehicles=10, scale=1.04, start=60, seed=1)
     assert found.scale == pytest.approx(1.04, abs=0.004)
 
 
+@pytest.mark.accuracy
 def test_outliers_are_ignored():
     clean = drive(calibration(), 300)
 
@@ -171,6 +176,7 @@ def test_a_vehicle_on_top_of_an_anchor_does_no_harm():
     assert np.isfinite([found.scale, found.bias]).all()
 
 
+@pytest.mark.accuracy
 def test_what_was_learnt_outlives_a_vehicle_that_is_placed_anew():
     found = drive(calibration(), 200)
     before = found.scale
@@ -183,6 +189,7 @@ def test_what_was_learnt_outlives_a_vehicle_that_is_placed_anew():
 
 # --- a second opinion of the heading ----------------------------------------------------------
 
+@pytest.mark.accuracy
 def test_a_heading_that_went_astray_is_put_right():
     found = drive(calibration(), 200)
     now = place(199, 1)
@@ -192,11 +199,13 @@ def test_a_heading_that_went_astray_is_put_right():
     np.testing.assert_allclose(better.mean, now[0], atol=1.0)
 
 
+@pytest.mark.accuracy
 def test_a_heading_that_nobody_knows_is_told():
     found = drive(calibration(), 200)
     assert len(found.opinions(estimate(place(199, 1), rotation=0.0, rotation_variance=4.0))) == 1
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(('rotation', 'variance'), [(0.0, 0.01 ** 2), (np.nan, np.nan)])
 def test_there_is_no_opinion_where_the_heading_is_right_or_no_question(rotation, variance):
     found = drive(calibration(), 200)

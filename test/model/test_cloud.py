@@ -140,6 +140,15 @@ def test_placing_searches_nothing_where_enough_candidates_are_likely() -> None:
     np.testing.assert_array_equal(one.particles, other.particles)
 
 
+def test_copies_of_the_few_candidates_that_are_likely_stand_for_what_is_between_them() -> None:
+    # Two disks that hardly meet, askew, so that one in a thousand of the candidates lies in both.
+    few = cloud(max_particles=500)
+    few.place(evidence(listen([(0.0, 0.0), (141.0, 141.0)])))
+    assert len(np.unique(few.particles[0], axis=0)) == 100
+    between = 59 / math.sqrt(500)  # m, in a box of 59 m
+    assert spread(few.particles)[0] > between / math.sqrt(12)
+
+
 def test_placing_leaves_alone_who_has_a_place() -> None:
     both = cloud(vehicles=2)
     both.place(evidence(ONE_OF_TWO))

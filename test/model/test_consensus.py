@@ -96,6 +96,25 @@ def test_where_two_majorities_are_possible_nobody_is_outvoted():
     assert not verdict(disks((0, 0), (1500, 0), (3000, 0))).against.any()
 
 
+def test_whom_one_of_two_majorities_contradicts_is_disputed():
+    near = [(0, y) for y in (-100, 0, 100)]
+    found = verdict(disks(*near, (1500, 0), (-1500, 0)))
+    assert not found.against.any()
+    assert np.flatnonzero(found.disputed).tolist() == [3, 4]
+
+
+def test_nobody_is_disputed_where_less_than_three_would_be_left():
+    assert not verdict(disks((0, 0), (1500, 0), (3000, 0))).disputed.any()
+
+
+def test_hard_edges_of_certain_beliefs_are_crossed_without_a_warning():
+    sharp = Channel(RadioConfig(radio_range=1000.0, edge_softness=0.0))
+    with np.errstate(all='raise'):
+        found = outvoted_by_disks(
+            sharp, disks(*AROUND, (1500, 1500)), None, 3.0, np.zeros((1, 2)), np.zeros(1))
+    assert np.flatnonzero(found.against).tolist() == [4]
+
+
 def test_of_two_majorities_the_belief_chooses():
     found = verdict(disks((0, 0), (1500, 0), (3000, 0)), mean=(700, 0))
     assert np.flatnonzero(found.against).tolist() == [2]

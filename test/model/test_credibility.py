@@ -83,3 +83,13 @@ def test_a_belief_is_not_replaced_by_nothing():
         lies = {sender: (3000 + 5 * epoch, 40 * sender) for sender in range(6)}
         _, priors = sift(credibility, heard(lies=lies))
         assert not priors
+
+
+@pytest.mark.parametrize('told', [False, True])
+def test_a_young_belief_is_refuted_by_disks_unless_somebody_told_it(told):
+    credibility = watch()
+    if told:
+        credibility.forget(0)
+    _, priors = sift(credibility, heard(), mean=(600, 600), std=1.0)
+    assert credibility.monitor.lost < 0.5
+    assert len(priors) == (not told)

@@ -159,3 +159,8 @@ def test_who_contradicts_itself_is_suspected_within_ten_epochs():
     for _ in range(5):
         judge(monitor, said([RIGHT] * 3), [7])
     assert monitor.suspects() == [[7]]
+
+
+def test_senders_that_are_never_met_again_cost_no_memory():
+    monitor = watch(*[said([RIGHT] * 3 + [WRONG])] * 2, *[said([RIGHT] * 3)] * 1000)
+    assert not len(monitor._pair)

@@ -120,6 +120,7 @@ def test_an_anchor_with_the_identity_of_a_vehicle_is_refused() -> None:
         RelayConfig(vehicle_id_offset=100).refuse_anchors(anchors, 3)
 
 
+@pytest.mark.accuracy
 def test_mcl_is_nearer_with_relayed_anchors() -> None:
     # 40 vehicles among few anchors, range-free: what neighbours hear says where one is not.
     settings = {'radio_range': 100.0, 'vehicles': 40, 'area_x': 400.0, 'area_y': 400.0,

@@ -65,6 +65,7 @@ def test_a_pose_of_later_or_of_long_ago_tells_nothing(stamp: float) -> None:
     assert resumed(LAST, stamp, np.array([515.0, 0.0, 0.0, 0.4]), 50.0, 1000.0) is None
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('measure_range', [False, True])
 def test_a_localizer_that_is_started_again_is_right_within_three_epochs(
     measure_range: bool,
@@ -99,6 +100,7 @@ def test_a_localizer_that_is_started_again_is_right_within_three_epochs(
     assert (again.status == OK).all()
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('measure_range', [False, True])
 def test_where_beacons_and_odometry_are_silent_poses_are_stale_and_honest_and_right_soon_after(
     measure_range: bool,
@@ -135,5 +137,5 @@ def test_lost_vehicles_are_not_kept() -> None:
     epoch = world.step()
     localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
     assert len(localizer.last_known()) == VEHICLES
-    localizer._monitor.doubt(np.arange(VEHICLES) < 5)
+    localizer._core.credibility.monitor.doubt(np.arange(VEHICLES) < 5)
     assert [last.vehicle for last in localizer.last_known()] == list(range(5, VEHICLES))

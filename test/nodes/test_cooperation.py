@@ -58,6 +58,7 @@ def in_process(cooperation: bool) -> tuple[list[Epoch], np.ndarray, np.ndarray]:
     return epochs, np.linalg.norm(estimate.mean - epochs[-1].position, axis=1), std
 
 
+@pytest.mark.accuracy
 def test_vehicles_that_hear_too_few_anchors_are_localized_through_others(
     probe: Any, start: Start,
 ) -> None:

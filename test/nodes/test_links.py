@@ -8,9 +8,11 @@ import sys
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / 'reliability'))
-from links import cut_link, fill_disk, kill_fleet, Refused, restart_anchors  # noqa: E402, I100
+from broken_bags import fill_disk  # noqa: E402, I100
+from links import cut_link, kill_fleet, Refused, restart_anchors  # noqa: E402, I100
 
 
+@pytest.mark.accuracy
 def test_a_fleet_behind_a_cut_link_is_stale_in_two_epochs_and_well_again_in_five(
     tmp_path: Path,
 ) -> None:
@@ -24,6 +26,7 @@ def test_a_fleet_behind_a_cut_link_is_stale_in_two_epochs_and_well_again_in_five
     assert (found.lost, found.suspects) == (0, 0)
 
 
+@pytest.mark.accuracy
 def test_killed_localizers_are_right_again_in_three_epochs(tmp_path: Path) -> None:
     found = kill_fleet(tmp_path, settled=4, after=5)
     assert found.recovered < 3
@@ -31,6 +34,7 @@ def test_killed_localizers_are_right_again_in_three_epochs(tmp_path: Path) -> No
     assert found.wrong < 0.15
 
 
+@pytest.mark.accuracy
 def test_of_anchors_that_are_started_again_nobody_speaks(tmp_path: Path) -> None:
     found, news = restart_anchors(tmp_path, settled=4, after=5)
     assert (found.lost, found.suspects) == (0, 0)

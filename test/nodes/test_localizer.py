@@ -278,6 +278,30 @@ def test_strangers_are_ignored_named_once_and_can_be_let_in_while_it_runs(
     step(lambda count: count > 1)
 
 
+def test_who_says_what_cannot_be_true_is_named_once_and_the_others_are_heard(
+    begin: Callable[..., Scene], capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(localizer, '_WARNING_PERIOD', 0.05)
+    scene = begin()
+    source = Source(scene.probe, world(), ['/veh_0'])
+    received: list[bytes] = []
+    scene.probe.listen('/veh_0/pose', messages.POSE, received.append, LATCHED)
+    scene.until(source.is_heard, 'the localizer')
+    for stamp in (1.0, 2.0):
+        heard = Observation.empty(1, 5, 2, stamp)
+        heard.sender[0] = np.arange(5)
+        heard.position[0] = source.world.anchors.position[0, :5]
+        heard.range[0, 0] = -1
+        source.beacons[0].publish(messages.encode_beacons(heard, 'map')[0])
+    scene.until(lambda: bool(received), 'a pose')
+    scene.node.spin(timeout=0.3)
+    written = capfd.readouterr().err
+    assert written.count('left out beacons that cannot be true, ') == 1
+    assert 'of id 0, such as: range -1 of id 0 is not allowed' in written
+    assert 'rejected' not in written
+
+
 def test_every_second_of_the_messages_time_is_diagnosed(begin: Callable[..., Scene]) -> None:
     scene = begin()
     told: list[float] = []

@@ -38,7 +38,7 @@ def test_what_one_localizer_keeps_the_next_begins_with(tmp_path: Path) -> None:
     before, after = localizer(), Localizer(SETTINGS, 2)
     memory(path, before, complaints).save()
     assert memory(path, after, complaints).recall() == 2
-    for kept, known in zip(after._lasts, before.last_known(), strict=True):
+    for kept, known in zip(after._core.lasts, before.last_known(), strict=True):
         assert kept.vehicle == known.vehicle
         assert kept.stamp == known.stamp
         for name in ('mean', 'covariance', 'odometry', 'speed', 'rotation'):
@@ -92,7 +92,7 @@ def test_a_file_that_is_none_is_one_line_and_vehicles_start_from_anywhere(
     assert line.startswith(f'resume_from: {path} is not read, vehicles start from anywhere: ')
     assert reason in line
     assert '\n' not in line
-    assert after._lasts == []
+    assert after._core.lasts == []
 
 
 def test_a_file_of_other_vehicles_is_of_no_use(tmp_path: Path) -> None:

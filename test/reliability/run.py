@@ -19,7 +19,8 @@ PAGE = Page(
     'Reliability', 'make reliability',
     'What was tried, how often, and what was lost. Simulated worlds and seeds are not those that '
     'anything was tuned on.',
-    ('liars', 'lost', 'clocks', 'hostile', 'links', 'long_run', 'speakers', 'determinism'))
+    ('liars', 'lost', 'clocks', 'hostile', 'links', 'long_run', 'speakers', 'determinism',
+     'radios'))
 
 if __name__ == '__main__':
     PAGE.run(__doc__)

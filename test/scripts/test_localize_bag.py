@@ -100,7 +100,10 @@ def test_a_pose_is_written_for_every_epoch(bag, tmp_path):
 
 def test_one_line_says_what_was_made(bag, tmp_path, capsys):
     localize(bag, tmp_path / 'out')
-    assert capsys.readouterr() == (f'{tmp_path}/out: 11 poses, vehicles: 1\n', '')
+    made, complaints = capsys.readouterr()
+    line, told = made.splitlines()
+    assert (line, complaints) == (f'{tmp_path}/out: 11 poses, vehicles: 1', '')
+    assert told.startswith('range scale 1.00')
 
 
 def test_the_bag_says_by_which_command_and_parameters_it_was_made(bag, tmp_path):
@@ -181,7 +184,8 @@ def test_the_old_bag_can_be_sqlite3(tmp_path):
 def test_all_vehicles_of_a_bag_are_localized(tmp_path, capsys):
     names = ('/veh_2', '/veh_10', '/lab/robot')
     localize(write(tmp_path / 'drive', drive(names)), tmp_path / 'out')
-    assert capsys.readouterr().out == f'{tmp_path}/out: 33 poses, vehicles: 3\n'
+    line, _ = capsys.readouterr().out.splitlines()
+    assert line == f'{tmp_path}/out: 33 poses, vehicles: 3'
     for vehicle, name in enumerate(names):
         last = poses(tmp_path / 'out', name)[-1]
         np.testing.assert_allclose(last.position[:2], place(10.0, vehicle), atol=2.5)
@@ -479,7 +483,8 @@ def test_remappings_are_refused(rules, line, bag, tmp_path, capsys):
 def test_the_vehicles_can_be_chosen(tmp_path, capsys):
     path = write(tmp_path / 'drive', drive(('/veh_0', '/veh_1')))
     assert localize(path, tmp_path / 'out', '--namespace', 'veh_1') == 0
-    assert capsys.readouterr().out == f'{tmp_path}/out: 11 poses, vehicles: 1\n'
+    line, _ = capsys.readouterr().out.splitlines()
+    assert line == f'{tmp_path}/out: 11 poses, vehicles: 1'
 
 
 # --- ranges as drivers publish them ----------------------------------------------------------
@@ -508,6 +513,14 @@ def test_ranges_of_several_vehicles_place_them_and_become_their_beacons(tmp_path
         data = [data for topic, _, data in read(tmp_path / 'out') if topic == f'{name}/beacons']
         assert len(data) == 19
         assert messages.decode_beacons(data[0])[0].sender.tolist() == [[1, 2, 3, 4]]
+
+
+def test_what_was_learnt_of_the_radio_is_told_at_the_end(tmp_path, capsys):
+    bag = write(tmp_path / 'bag', ranged())
+    assert localize(bag, tmp_path / 'out', '--ranges', r'uwb/n_(\d+)', '--seed', '1') == 0
+    told = capsys.readouterr().out.splitlines()[1]
+    number = r'-?\d+\.\d+ \+- \d+\.\d+'
+    assert re.fullmatch(rf'range scale {number}, range bias \[m\] {number}', told)
 
 
 def test_who_has_ranges_but_names_none_is_told_how(tmp_path, capsys):
@@ -542,6 +555,20 @@ def test_beacons_of_strangers_are_ignored_and_noted(bag, tmp_path, capsys):
     assert re.fullmatch(
         r'note: ignored beacons and ranges, \d+ of id 2, whom neither anchor_allowlist nor '
         'vehicle_allowlist names', note)
+
+
+def test_beacons_that_cannot_be_true_are_left_out_and_noted(tmp_path, capsys):
+    rows = drive()
+    for at, (stamp, topic, kind, _) in enumerate(rows):
+        if topic == '/veh_0/beacons':
+            heard = scan(stamp, place(stamp))
+            heard.range[0, 1] = -1
+            rows[at] = stamp, topic, kind, messages.encode_beacons(heard, 'map')[0]
+    assert localize(write(tmp_path / 'bag', rows), tmp_path / 'out') == 0
+    assert capsys.readouterr().err.splitlines() == [
+        'note: left out beacons that cannot be true, 11 of id 2, such as: range -1 of id 2 is not '
+        'allowed, must be finite and at least 0, or NaN where not known']
+    assert len(poses(tmp_path / 'out')) == 11
 
 
 def test_a_namespace_without_beacons_is_named(bag, tmp_path, capsys):

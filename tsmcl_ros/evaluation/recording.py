@@ -16,6 +16,7 @@ from tsmcl_ros.messages import (
     decode_beacons,
     decode_odometries,
     decode_poses,
+    decode_scan,
     DIAGNOSTICS,
     ODOMETRY,
     POINT_CLOUD,
@@ -253,7 +254,7 @@ def _outages(homes: Iterable[str], compared: Iterable[Comparison],
     for home in homes:
         for data in messages.get(f'{home}/beacons', ()):
             try:
-                observation, _ = decode_beacons(data)
+                observation = decode_scan(data).observation
             except MessageError:
                 continue  # The localizer rejected it, too.
             if observation.heard.any():

@@ -6,7 +6,7 @@ serialized bytes, which is what raw subscriptions deliver, what publishers take 
 what bags hold: a node and an offline run go through the same code.
 """
 
-from tsmcl_ros.messages.beacons import BEACON, decode_beacons, encode_beacons
+from tsmcl_ros.messages.beacons import decode_beacons, decode_scan, encode_beacons
 from tsmcl_ros.messages.clouds import MAX_COORDINATE, POINT_CLOUD
 from tsmcl_ros.messages.diagnostics import (
     decode_diagnostics,
@@ -40,6 +40,7 @@ from tsmcl_ros.messages.poses import (
     UNMEASURED,
 )
 from tsmcl_ros.messages.ranges import decode_range, encode_range, RANGE, RangeReading
+from tsmcl_ros.messages.rows import BEACON
 from tsmcl_ros.messages.trajectories import decode_odometries, decode_poses
 
 __all__ = [
@@ -56,6 +57,7 @@ __all__ = [
     'decode_pose',
     'decode_poses',
     'decode_range',
+    'decode_scan',
     'Diagnosis',
     'DIAGNOSTICS',
     'encode_beacons',

@@ -134,7 +134,7 @@ def decode_any_pose(kind: str, data: bytes) -> Pose:
         covariance = np.array(reader.values('36d')).reshape(6, 6)
     reader.skip(8 * TWIST if kind == ODOMETRY else 0)
     reader.finish()
-    if not is_covariance(covariance):
+    if not is_covariance(covariance).all():
         raise MessageError(
             'pose.covariance is not allowed, must be finite, symmetric and positive semidefinite'
         )

@@ -83,6 +83,11 @@ class RangeCalibration:
         self._taught = np.zeros(vehicles, bool)
         self._doubts = np.zeros(vehicles, int)
 
+    @property
+    def is_taught(self) -> bool:
+        """Whether ranges have told anything yet."""
+        return self._beliefs is not None and bool((self.covariance != self._prior).any())
+
     def variance(self, distance: Array) -> Array:
         """Return the variance [m^2] that the calibration leaves ranges of these distances [m]."""
         (scale, both), (_, bias) = self.covariance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from tsmcl_ros.model.silence import Anchors, TOLERANCE
-from tsmcl_ros.types import ANCHOR, Array, Observation, pair
+from tsmcl_ros.types import ANCHOR, Array, Observation, pair, UNTRUE
 
 
 class Claims:
@@ -34,8 +34,8 @@ class Claims:
         Return the pairs (M,) of vehicle and sender whose claims cannot be true.
 
         These are anchors that are not where the map has them, or where they claimed to be when
-        last heard, or that claim two places; and vehicles with the id of an anchor. What is
-        claimed now is what later claims are held against.
+        last heard, or that claim two places; vehicles with the id of an anchor; and whose rows
+        alone show it. What is claimed now is what later claims are held against.
         """
         vehicle, row = np.nonzero(observation.heard)
         sender = observation.sender[vehicle, row]
@@ -47,6 +47,7 @@ class Claims:
         told = anchor & ~mapped & (observation.hops[vehicle, row] == 1)
         false[told] = self._changed(sender[told], position[told])
         false |= ~anchor & self._last.find(sender)[1]
+        false |= observation.kind[vehicle, row] == UNTRUE
         return np.unique(pair(vehicle[false], sender[false]))
 
     def _changed(self, sender: Array, position: Array) -> Array:

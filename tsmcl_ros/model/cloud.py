@@ -317,7 +317,10 @@ class Cloud:
                 np.repeat(spread(candidates), many)[scarce], evidence)
             weights, _ = normalize(likelihood.reshape(shape[:2]))
         points = flat.reshape(shape)
-        self._take(vehicle, points, even_resample(points, weights, few, self.rng))
+        index = even_resample(points, weights, few, self.rng)
+        self._take(vehicle, points, index)
+        self._part(vehicle, np.diff(index, axis=1, prepend=-1) == 0,
+                   spread(candidates) * many ** (-1 / self.dimension))
         self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
         self._doubts[vehicle] = 0
 
@@ -328,6 +331,18 @@ class Cloud:
         self._equalize(vehicle)
         self.placed[vehicle] = True
         self._drawn[vehicle] = True
+
+    def _part(self, vehicle: Array, copy: Array, distance: Array) -> None:
+        """
+        Move the copies (W, N) bool among some vehicles' particles apart by so much (W,) [m].
+
+        A candidate stands for all that is nearer to it than to others. Where hardly any fits, the
+        cloud would else claim to be certain.
+        """
+        owner, row = np.nonzero(copy)
+        if len(owner):
+            noise = self.rng.standard_normal((len(owner), self.dimension), np.float32)
+            self.particles[vehicle[owner], row] += distance[owner, None] * noise
 
     def _equalize(self, vehicle: Array | int) -> None:
         """Give some vehicles' particles equal weights."""

@@ -24,6 +24,7 @@ from tsmcl_ros.types import Array, Observation, Silence
 
 # Further hypotheses add little: of 60 triples 18 are sound where a third of the senders lies.
 _HYPOTHESES = 60
+_SHARPEST = 1e-6  # m^2, of what is certain to be at a hard edge
 
 
 def outvoted_by_ranges(channel: Channel, observation: Observation, limit: float) -> Array:
@@ -64,6 +65,9 @@ class Verdict:
     ----------
     against : (V, M) bool
         The senders that it does.
+    disputed : (V, M) bool
+        The senders that some majority contradicts, where several are possible; the same if that
+        leaves less than three to believe.
     missing : (V, M) bool
         The senders that contradict the belief.
     refutation : (V,) int
@@ -74,6 +78,7 @@ class Verdict:
     """
 
     against: Array
+    disputed: Array
     missing: Array
     refutation: Array
     mean: Array
@@ -117,6 +122,9 @@ def outvoted_by_disks(channel: Channel, disks: Disks, silent: Silence | None, li
             channel, places, silent.position, np.where(known, radius, 1), belief) > limit)
         ).sum(axis=2)
     against, alike, best, majority = _agreed(missed[:, 1:], further[:, 1:], sound, disks.used)
+    disputed = (missed[:, 1:] & alike[:, :, None]).any(axis=1) & majority[:, None]
+    enough = (disks.used & ~disputed).sum(axis=1) >= 3
+    disputed = np.where(enough[:, None], disputed, against)
     number = missed[:, 0].sum(axis=1) + further[:, 0]
     # Where several majorities are possible, the belief's own is the likely one.
     against = np.where((majority & (number == best))[:, None], missed[:, 0], against)
@@ -126,7 +134,7 @@ def outvoted_by_disks(channel: Channel, disks: Disks, silent: Silence | None, li
     covariance = np.einsum('vhi,vhj->vij', apart, apart) / number[:, None, None]
     edge = channel.softness(disks.radius).max(axis=1, initial=0)
     covariance += (LOGISTIC_STD * edge)[:, None, None] ** 2 * np.eye(2)
-    return Verdict(against, missed[:, 0], refutation, middle, covariance)
+    return Verdict(against, disputed, missed[:, 0], refutation, middle, covariance)
 
 
 def _excess(channel: Channel, places: Array, centre: Array, radius: Array, belief: Array,
@@ -138,7 +146,8 @@ def _excess(channel: Channel, places: Array, centre: Array, radius: Array, belie
     """
     apart = np.linalg.norm(places[:, :, None] - centre[:, None], axis=3)
     uncertain = (LOGISTIC_STD * channel.softness(radius)) ** 2 + variance
-    return np.asarray((apart - radius[:, None]) / np.sqrt(uncertain[:, None] + belief[..., None]))
+    variance = np.maximum(uncertain[:, None] + belief[..., None], _SHARPEST)
+    return np.asarray((apart - radius[:, None]) / np.sqrt(variance))
 
 
 def _by_ranges(channel: Channel, observation: Observation, limit: float) -> Array:

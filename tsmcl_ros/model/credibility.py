@@ -55,6 +55,8 @@ class Credibility:
         self._recollection = Recollection(vehicles, dimension)
         self._age = np.zeros(vehicles, int)
         self._doubtful = np.zeros(vehicles, bool)
+        self._lost = np.zeros(vehicles, bool)
+        self._told = np.zeros(vehicles, bool)
         self._believed = np.zeros(0, np.int64)
 
     def move(self, displacement: Array, variance: Array) -> None:
@@ -65,6 +67,8 @@ class Credibility:
         """Begin again with a vehicle whose belief is replaced by what somebody says."""
         self.monitor.forget(vehicle)
         self._absences.forget(vehicle)
+        self._told[vehicle] = True
+        self._age[vehicle] = 0
 
     def renew(self, vehicle: Array) -> None:
         """Take vehicles (V,) bool for lost until beacons confirm them: they were placed anew."""
@@ -122,6 +126,7 @@ class Credibility:
     def _doubt(self, observation: Observation, settled: Array, unmasked: Array) -> None:
         """Remember who is believed, and doubt the places that the unmasked have led to."""
         self._age = np.where(settled, self._age + 1, 0)
+        self._told &= settled & (self._age < _PROBATION)
         young = self._age < _PROBATION
         rows = observation.heard & young[:, None]
         vehicle, _ = split(self._believed)
@@ -145,7 +150,10 @@ class Credibility:
             Where the majority has vehicles that believe to be elsewhere, or doubt their place.
 
         """
-        self._recollection.forget(~settled & np.isfinite(mean[:, 0]))
+        # Who gets lost may have been carried away, and what was heard before is of no use then.
+        lost = ~settled & np.isfinite(mean[:, 0])
+        self._recollection.forget(lost & ~self._lost)
+        self._lost = lost
         radius, rows = channel.disks(observation)
         none = np.zeros(0, np.int64)
         if mean.shape[1] != 2 or not rows.any():
@@ -164,14 +172,15 @@ class Credibility:
             verdict = outvoted_by_disks(
                 channel, recalled, self._heeded(observation.of(some), some, settled[some]),
                 self.config.contradiction, mean[some], variance[some])
-            # A belief that has stood for long is not refuted by one sender.
-            refuted = verdict.refutation > (self._age[some] >= _PROBATION)
+            # A belief that has stood for long is not refuted by one sender; nor is one that was
+            # told by the few disks of the first epochs, as who is elsewhere is lost soon.
+            refuted = ~self._told[some] & (verdict.refutation > (self._age[some] >= _PROBATION))
             anew = settled[some] & (self._doubtful[some] | refuted) & recalled.used.any(axis=1)
             trusted = settled[some] & ~anew
             pairs = pair(some[:, None], recalled.sender)
             accused.append(pairs[verdict.against])
             refused.append(pairs[np.where(
-                trusted[:, None], verdict.missing, verdict.against)])
+                trusted[:, None], verdict.missing, verdict.disputed)])
             priors += [
                 Prior(int(some[i]), verdict.mean[i], verdict.covariance[i])
                 for i in np.flatnonzero(anew).tolist()]

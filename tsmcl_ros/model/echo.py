@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from tsmcl_ros.types import Array, Estimate, MessageError, Observation, PADDED, VEHICLE
+from tsmcl_ros.types import Array, Estimate, Observation, PADDED, VEHICLE
 
 # Of the largest variance: less than this is a covariance that FLOAT32 has made of nothing.
 _SINGULAR = 1e-6
@@ -165,24 +165,27 @@ def _correlated_sum(one: Array, other: Array) -> Array:
     return np.asarray((first + second) * (one / first + other / second))
 
 
-def refuse_certainty(observation: Observation) -> None:
+def certain(observation: Observation) -> tuple[Array, str]:
     """
-    Hold that no vehicle claims to know its position exactly along any axis, as anchors may.
+    Return which vehicles' rows claim a position that is exact along an axis, as anchors' may be.
 
-    Raises
-    ------
-    MessageError
-        Naming the first one that does.
+    Returns
+    -------
+    rows : (V, K) bool
+        Those that do.
+    fault : str
+        What is wrong with the first, '' if none does.
 
     """
     rows = observation.kind == VEHICLE
     if not rows.any():
-        return
+        return rows, ''
     rows &= observation.heard
     values = np.linalg.eigvalsh(observation.covariance[rows].astype(np.float64))
-    singular = np.flatnonzero(values[:, 0] <= _SINGULAR * values[:, -1])
-    if len(singular):
-        sender = observation.sender[rows][singular[0]]
-        raise MessageError(
-            f'beacons: vehicle {sender} claims a singular covariance, with eigenvalues '
-            f'{values[singular[0]].tolist()} m^2, must be positive definite')
+    singular = values[:, 0] <= _SINGULAR * values[:, -1]
+    rows[rows] = singular
+    if not singular.any():
+        return rows, ''
+    return rows, (
+        f'vehicle {observation.sender[rows][0]} claims a singular covariance, with eigenvalues '
+        f'{values[singular][0].tolist()} m^2, must be positive definite')

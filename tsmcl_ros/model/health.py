@@ -27,6 +27,8 @@ BY_CHANCE = 0.5
 _SUREST = math.log(1e3)
 # What is held against a sender fades, lest one that is never met again stays a suspect.
 _MEMORY = 0.99
+# Log odds below which nothing is held against it any more.
+_FORGOTTEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ class HealthMonitor:
         total = np.bincount(
             place.reshape(-1), np.concatenate([_MEMORY * self._odds, change[kept]]), len(merged))
         self._pair, self._odds = merged, np.minimum(total, 1.5 * math.log(self.config.suspicion))
-        self._drop(self._odds <= 0)
+        self._drop(self._odds < _FORGOTTEN)
 
     def _drop(self, which: Array) -> None:
         self._pair, self._odds = self._pair[~which], self._odds[~which]

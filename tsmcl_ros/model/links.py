@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from tsmcl_ros.types import Array, Links
 
-_LEAST_EXPONENT = 0.1
+LEAST_EXPONENT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def fit_links(links: Links, reference: float, exponent: float, sigma: float,
     share = apart / (apart + chance)
     left = np.append(share * chance, apart) + sigma ** 2 / total
     return Fit(identity, reference + common + np.append(share * off, 0.0),
-               max(exponent + float(steeper), _LEAST_EXPONENT), np.sqrt(sigma ** 2 + left))
+               max(exponent + float(steeper), LEAST_EXPONENT), np.sqrt(sigma ** 2 + left))
 
 
 def _shortest(links: Links, neighbours: int) -> tuple[Array, Array, Array, Array]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 import math
 
 import numpy as np
@@ -22,8 +23,9 @@ from tsmcl_ros.model.evidence import (
 )
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.model.kinematics import kinematics_of
-from tsmcl_ros.model.links import fit_links
+from tsmcl_ros.model.links import fit_links, LEAST_EXPONENT
 from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.power_calibration import PowerCalibration
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
     draw_asymmetric,
@@ -31,7 +33,7 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Observation, Prior
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Motion, Observation, Prior
 
 
 @dataclass(frozen=True)
@@ -115,13 +117,22 @@ class EvidenceConfig(Config):
         live=True)
     rssi_calibration: str = param(
         'links', 'estimate P_0 and n from how anchors hear each other, but of anchors in '
-        'anchor_path_loss', choices=('off', 'links'), live=True)
+        'anchor_path_loss; or of all anchors while running, from where they are taken to be on',
+        choices=('off', 'links', 'online'), live=True)
     link_neighbours: int = param(
         8, 'nearest neighbours that an anchor is calibrated by, 0 for all', low=0, high=10_000,
         live=True)
     path_loss_exponent_std: float = param(
-        0.5, 'how far off path_loss_exponent may be, before links tell', above=0.0, high=10.0,
-        live=True)
+        0.5, 'how far off path_loss_exponent may be, or n of all anchors alike, before links or '
+        'rssi tell', above=0.0, high=10.0, live=True)
+    rssi_at_reference_std: float = param(
+        6.0, 'how far off P_0 of all anchors alike may be, before rssi tells', unit='dB',
+        above=0.0, high=100.0)
+    anchor_rssi_std: float = param(
+        2.5, 'how far off P_0 of each anchor may be beside that', unit='dB', above=0.0,
+        high=100.0)
+    anchor_rssi_time: float = param(
+        5.0, 'how long it stays so, by shadowing or, much longer, by itself', unit='s', above=0.0)
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
@@ -179,6 +190,12 @@ class PathLoss:
         """Return the path losses of these rows of the table, in the index's shape."""
         return PathLoss(self.reference[index], self.exponent[index], self.sigma[index])
 
+    def corrected(self, reference: float, exponent: float, variance: float) -> PathLoss:
+        """Return these with P_0 [dB] and n off, and uncertain by a variance [dB^2]."""
+        return PathLoss(*(part.astype(np.float32) for part in (
+            self.reference + reference, np.maximum(self.exponent + exponent, LEAST_EXPONENT),
+            np.sqrt(self.sigma ** 2 + variance))))
+
     @property
     def slope(self) -> Array:
         """How many sigmas a tenfold distance costs."""
@@ -234,15 +251,21 @@ class Channel:
     ----------
     calibration : RangeCalibration
         What `evidence` takes ranges to be; it starts from `radio`.
+    powers : PowerCalibration
+        What it takes the path losses of `radio` to be off.
 
     """
 
-    def __init__(self, radio: RadioConfig, switches: EvidenceConfig = EvidenceConfig()):
+    def __init__(self, radio: RadioConfig, switches: EvidenceConfig = EvidenceConfig(),
+                 seed: int = 0):
         self.radio = radio
         self.switches = switches
         self.calibration = RangeCalibration(
             radio.range_scale, radio.range_bias,
             (switches.range_scale_std, switches.range_bias_std))
+        self.powers = PowerCalibration(
+            (switches.rssi_at_reference_std, switches.path_loss_exponent_std),
+            switches.anchor_rssi_std, switches.anchor_rssi_time, seed)
         self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
 
@@ -251,7 +274,7 @@ class Channel:
         switches = self.switches
         self._identity, self._path_loss = own, configured = PathLoss.table(self.radio)
         links = links.without(own)
-        if switches.rssi_calibration == 'off' or not len(links.rssi):
+        if switches.rssi_calibration != 'links' or not len(links.rssi):
             return
         rest = configured.of(np.array(-1))
         fit = fit_links(
@@ -434,14 +457,43 @@ class Channel:
         # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
         return self.switches.range_calibration == 'online' and not self._asymmetric
 
+    @property
+    def calibrates_power(self) -> bool:
+        """Whether rssi teaches what path losses are like."""
+        return self.switches.rssi_calibration == 'online'
+
+    def calibrated(self, untaught: bool = True) -> dict[str, str]:
+        """Return what is estimated of the radio, +- one standard deviation; or only if taught."""
+        found = {}
+        if self.calibrates and (untaught or self.calibration.is_taught):
+            scale, bias = np.sqrt(np.diag(self.calibration.covariance)).tolist()
+            found['range scale'] = f'{self.calibration.scale:.4f} +- {scale:.4f}'
+            found['range bias [m]'] = f'{self.calibration.bias:.3f} +- {bias:.3f}'
+        if self.calibrates_power and (untaught or self.powers.is_taught):
+            rest = self.path_loss(np.array(-1))
+            reference, exponent = np.sqrt(np.diag(self.powers.covariance)).tolist()
+            found['P_0 [dBm]'] = f'{rest.reference:.2f} +- {reference:.2f}'
+            found['path loss exponent'] = f'{rest.exponent:.3f} +- {exponent:.3f}'
+        return found
+
+    def predict(self, motion: Motion) -> None:
+        """Move the vehicles that are learnt from."""
+        self.calibration.predict(motion)
+        if self.calibrates_power:
+            self.powers.predict(motion)
+
     def follow(self, motion: MotionModel, vehicles: int, dimension: int) -> None:
         """Learn from V vehicles that move by this model in D dimensions."""
+        self._follow_powers = partial(
+            self.powers.follow, motion, vehicles, dimension, self._floor)
+        if self.powers.follows:
+            self._follow_powers()
         self.calibration.follow(
             kinematics_of(motion, dimension), vehicles, dimension, self._floor)
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> list[Prior]:
         """
-        Learn from an epoch what the ranges are like, if that is switched on.
+        Learn from an epoch what ranges and rssi are like, as far as that is switched on.
 
         Vehicles that take most of their ranges for outliers are lost, and teach nothing.
 
@@ -451,6 +503,8 @@ class Channel:
             What is known better by the way: see `RangeCalibration.opinions`.
 
         """
+        if self.calibrates_power and not np.isnan(observation.rssi).all():
+            self._calibrate_power(observation, estimate)
         if not self.calibrates or np.isnan(observation.range).all():
             return []
         ranged = observation.heard & ~np.isnan(observation.range)
@@ -461,6 +515,26 @@ class Channel:
             observation, estimate, self._range_std(observation), ranged,
             observation.kind == ANCHOR)
         return self.calibration.opinions(estimate)
+
+    def corrected(self, observation: Observation) -> Observation:
+        """Return an observation with rssi freed of what single anchors are off."""
+        if not self.calibrates_power or np.isnan(observation.rssi).all():
+            return observation
+        return replace(
+            observation, rssi=observation.rssi - self.powers.of(observation.sender))
+
+    def _calibrate_power(self, observation: Observation, estimate: Estimate) -> None:
+        loss = self._supposed(observation.sender)
+        lognormal = self.radio.radio_model == 'lognormal'
+        if not self.powers.follows:
+            self._follow_powers()
+        self.powers.forget(estimate.reinitialized)
+        self.powers.learn(
+            observation.sender, observation.position,
+            observation.rssi + self.powers.of(observation.sender),
+            self.powered(observation) & (observation.kind == ANCHOR) & (observation.hops == 1),
+            (loss.reference, loss.exponent, loss.sigma),
+            self.radio.sensitivity if lognormal and self.switches.silence != 'none' else -math.inf)
 
     def _measure(self, distance: Array, rng: np.random.Generator) -> Array:
         """Return what ranges say (V, A) [m] at these distances, never below 0."""
@@ -501,6 +575,14 @@ class Channel:
 
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
+        loss = self._supposed(sender)
+        if not self.calibrates_power:
+            return loss
+        reference, exponent = self.powers.mean.tolist()
+        return loss.corrected(reference, exponent, self.powers.variance)
+
+    def _supposed(self, sender: Array) -> PathLoss:
+        """Return the path losses that those of senders are taken to be at first."""
         if not len(self._identity):
             return self._path_loss.of(np.full(sender.shape, -1))
         index = np.minimum(np.searchsorted(self._identity, sender), len(self._identity) - 1)

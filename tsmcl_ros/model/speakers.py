@@ -7,20 +7,18 @@ keep others from using it. What this does is to leave out whoever does not even 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Observation, PADDED, VEHICLE
+from tsmcl_ros.model.tally import listed, Tally
+from tsmcl_ros.types import ANCHOR, Array, ConfigError, Links, Observation, PADDED, VEHICLE
 
 _ALL, _MAP = 'all', 'map'
 _MAX_ID = 2**32 - 1
 _MOST_DIGITS = 20  # zeros in front included
-# Who makes up ids can make up four billion: so many are kept by name.
-_MOST_NAMED = 100
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class SpeakerConfig(Config):
                     raise ConfigError(f'{name}: {word!r} is not allowed, must be {form}')
 
 
-class Speakers:
+class Speakers(Tally):
     """
     Tells V vehicles whom to heed, and counts what others say.
 
@@ -60,21 +58,12 @@ class Speakers:
     vehicles : int
         V.
 
-    Attributes
-    ----------
-    ignored : (V,) int
-        How many beacons and ranges of others each vehicle has heard.
-    senders : Counter of int
-        How many there were of each sender, of the first hundred senders.
-
     """
 
     def __init__(self, config: SpeakerConfig, vehicles: int):
+        super().__init__(vehicles)
         self.config = config
-        self.ignored = np.zeros(vehicles, int)
-        self.senders: Counter[int] = Counter()
         self._map = np.zeros(0, np.int64)
-        self._told: set[int] = set()
 
     @property
     def heed_all(self) -> bool:
@@ -83,8 +72,8 @@ class Speakers:
 
     def learn_map(self, anchors: Observation) -> None:
         """Take over who stands in an anchor map (V = 1); several complete each other."""
-        listed = anchors.sender[(anchors.kind == ANCHOR) & anchors.heard]
-        self._map = np.union1d(self._map, listed)
+        told = anchors.sender[(anchors.kind == ANCHOR) & anchors.heard]
+        self._map = np.union1d(self._map, told)
 
     def heeds(self, identity: Array, kind: Array | int = ANCHOR) -> Array:
         """Return which of some senders are heeded, in their ids' shape."""
@@ -116,6 +105,12 @@ class Speakers:
             return observation.columns(np.flatnonzero(~others[0]))
         return replace(observation, sender=np.where(others, PADDED, observation.sender))
 
+    def heed_links(self, links: Links) -> Links:
+        """Return the links between those who are heeded."""
+        if self.heed_all:
+            return links
+        return links.picked(self.heeds(links.receiver) & self.heeds(links.sender))
+
     def heed_silence(self, observation: Observation) -> Observation:
         """Return it without the silence of anchors who would not be heeded if they spoke."""
         silent = observation.silent
@@ -124,32 +119,18 @@ class Speakers:
         return replace(observation, silent=replace(
             silent, known=silent.known & self.heeds(silent.sender)))
 
-    def count(self, vehicle: int, senders: list[int]) -> None:
-        """Count what a vehicle heard of somebody else."""
-        self.ignored[vehicle] += len(senders)
-        self.senders.update(sender for sender in senders
-                            if sender in self.senders or len(self.senders) < _MOST_NAMED)
-
-    def news(self) -> dict[int, int]:
-        """Return the counts of the senders that were not told of by this method yet."""
-        fresh = {sender: count for sender, count in self.senders.items()
-                 if sender not in self._told}
-        self._told.update(fresh)
-        return fresh
-
     def _listed(self, identity: Array, words: tuple[str, ...]) -> Array:
         if _ALL in words:
             return np.ones(np.shape(identity), bool)
         spans = _spans(words)
         number = np.asarray(identity)[..., None]
-        listed = ((number >= spans[:, 0]) & (number <= spans[:, 1])).any(axis=-1)
-        return np.asarray(listed | np.isin(identity, self._map) if _MAP in words else listed)
+        named = ((number >= spans[:, 0]) & (number <= spans[:, 1])).any(axis=-1)
+        return np.asarray(named | np.isin(identity, self._map) if _MAP in words else named)
 
 
 def ignored_note(counts: Mapping[int, int]) -> str:
     """Say whose beacons, and how many of each sender, were left out as nobody knows them."""
-    listed = ', '.join(f'{count} of id {sender}' for sender, count in sorted(counts.items()))
-    return (f'ignored beacons and ranges, {listed}, whom neither anchor_allowlist nor '
+    return (f'ignored beacons and ranges, {listed(counts)}, whom neither anchor_allowlist nor '
             'vehicle_allowlist names')
 
 

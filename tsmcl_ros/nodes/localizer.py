@@ -21,6 +21,7 @@ from tsmcl_ros.inputs import InputConfig
 from tsmcl_ros.localizer import CONFIGS, Localizer, LONGEST_LEAP
 from tsmcl_ros.model.health import LOST, STALE
 from tsmcl_ros.model.speakers import ignored_note
+from tsmcl_ros.model.tally import untrue_note
 from tsmcl_ros.nodes import discovery, runtime, views
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import live, select
@@ -279,9 +280,11 @@ class LocalizerNode(ManagedNode):
         self._diagnostics.publish(messages.encode_diagnostics(stamp, diagnoses))
 
     def _warn_of_others(self) -> None:
-        """Name those who are ignored, each once."""
+        """Name those who are ignored, and those who say what cannot be true, each once."""
         if news := self._localizer.speakers.news():
             self.get_logger().warning(ignored_note(news))
+        if news := self._localizer.untrue.news():
+            self.get_logger().warning(untrue_note(news, self._localizer.untrue.reason))
 
     def _reinitialize(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
         for vehicle in range(len(self._vehicles)):

@@ -25,6 +25,7 @@ from tsmcl_ros.endpoint import Endpoint, lag_note, OutputConfig
 from tsmcl_ros.inputs import InputConfig, unplaced_note
 from tsmcl_ros.localizer import CONFIGS, Localizer
 from tsmcl_ros.model.speakers import ignored_note
+from tsmcl_ros.model.tally import untrue_note
 from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
 from tsmcl_ros.scripts.outlet import Outlet
 from tsmcl_ros.scripts.wiring import copies, Remapping, vehicles, wire
@@ -55,6 +56,8 @@ def _localize(arguments: Sequence[str] | None) -> None:
     for note in outcome.notes():
         print(f'note: {note}', file=sys.stderr)
     print(f'{options.out}: {outcome.poses} poses, vehicles: {outcome.vehicles}')
+    if outcome.calibrated:
+        print(', '.join(f'{name} {value}' for name, value in outcome.calibrated.items()))
 
 
 @dataclass
@@ -78,6 +81,12 @@ class Outcome:
         How many ranges of which sender were of no use, as nobody tells where it is.
     ignored : mapping of int to int
         How many beacons and ranges of which sender were ignored, as it may not speak.
+    untrue : mapping of int to int
+        How many beacons of which sender were left out, as they cannot be true.
+    reason : str
+        What is wrong with one of these.
+    calibrated : mapping of str to str
+        What was learnt of the radio, +- one standard deviation.
     rejected : Counter of (topic, reason)
         How often messages were rejected; numbers in the reasons are those of the first one.
 
@@ -91,6 +100,9 @@ class Outcome:
     missing: Sequence[str] = ()
     unplaced: Mapping[int, int] = field(default_factory=dict)
     ignored: Mapping[int, int] = field(default_factory=dict)
+    calibrated: Mapping[str, str] = field(default_factory=dict)
+    untrue: Mapping[int, int] = field(default_factory=dict)
+    reason: str = ''
     rejected: Counter[tuple[str, str]] = field(default_factory=Counter)
     _first: dict[tuple[str, str], str] = field(default_factory=dict)
 
@@ -119,6 +131,8 @@ class Outcome:
             yield unplaced_note(self.unplaced)
         if self.ignored:
             yield ignored_note(self.ignored)
+        if self.untrue:
+            yield untrue_note(self.untrue, self.reason)
         if self.restarts:
             yield f'started anew where time jumped, {self.restarts} times'
         for (topic, reason), count in self.rejected.most_common(_MAX_REASONS):
@@ -218,6 +232,8 @@ def localize_bag(
     outcome.poses = outlet.poses
     outcome.unplaced = endpoint.ranges.unplaced
     outcome.ignored = localizer.speakers.senders
+    outcome.untrue, outcome.reason = localizer.untrue.senders, localizer.untrue.reason
+    outcome.calibrated = localizer.channel.calibrated(untaught=False)
     outcome.restarts = localizer.restarts
     return outcome
 

@@ -111,6 +111,7 @@ def test_nobody_turns_back() -> None:
     assert np.all(action != 2)
 
 
+@pytest.mark.accuracy
 def test_a_steady_fleet_stays_on_all_streets_alike_and_at_all_speeds() -> None:
     mobility = fleet(8000, seed=5)
     before, after = mobility.state, mobility.step(300.0)
@@ -125,6 +126,7 @@ def test_streets_are_used_in_proportion_to_their_length() -> None:
     assert stats.binomtest(along_x, 2000, share).pvalue > SIGNIFICANCE
 
 
+@pytest.mark.accuracy
 def test_the_way_does_not_depend_on_how_time_is_cut_into_steps() -> None:
     once, often = fleet(50), fleet(50)
     once.step(100.0)

@@ -133,6 +133,7 @@ def test_steady_speeds_are_in_proportion_to_the_time_spent_at_them() -> None:
     assert stats.kstest(found, expected.cdf).pvalue > SIGNIFICANCE
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize('settings', [
     {'pause': 0.0}, {'pause': 60.0}, {'pause': 60.0, 'area_z': 2000.0},
 ])

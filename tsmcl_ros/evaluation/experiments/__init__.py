@@ -44,7 +44,7 @@ EXPERIMENTS: dict[str, tuple[Experiment, Experiment]] = {
         CoopTime(), CoopTime(runs=1, targets=20, samples=(20, 50), rounds=2, grid_cell=5.0)),
     'period_factor': (PeriodFactor(), PeriodFactor(residuals=101)),
     **ADAPTIVE,
-    **{name: (kind(), kind(runs=1, vehicles=8, epochs=10, grid_cell=10.0, radius=100.0))
+    **{name: (kind(), kind(runs=1, vehicles=8, epochs=5, grid_cell=10.0, radius=100.0))
        for name, kind in {
            'r_mcl_time': RMclTime,
            'r_mcl_anchor_density': RMclAnchorDensity,
