@@ -201,6 +201,8 @@ class Writer:
             )
         if self.path.exists():
             raise BagError(f'{self.path}: exists already, bags are never overwritten')
+        # Now, as it takes long, and what is recorded does not wait.
+        self._store = _typestore(Stores.ROS2_JAZZY)
         self._connections: dict[str, Connection] = {}
         self._pending: list[tuple[Connection, int, bytes]] = []
         self._pending_size = 0
@@ -238,12 +240,12 @@ class Writer:
                     f'{self.path}: topic {name} has type {known.msgtype} and cannot have {type}'
                 )
             return
-        store = _typestore(Stores.ROS2_JAZZY)
-        if type not in store.fielddefs:
+        if type not in self._store.fielddefs:
             raise BagError(f'{self.path}: topic {name}: type {type} is unknown to ROS 2 Jazzy')
         with self._writing():
             self._connections[name] = self._bag.add_connection(
-                name, type, typestore=store, offered_qos_profiles=[_LATCHED if latched else _QOS]
+                name, type, typestore=self._store,
+                offered_qos_profiles=[_LATCHED if latched else _QOS],
             )
 
     def write(self, name: str, stamp: float, data: bytes) -> None:

@@ -154,12 +154,11 @@ def over_dds(seconds: int, folder: Path, vehicles: int = VEHICLES
         start('recorder', output=folder / 'bag', **common)
         start('fleet', vehicles=vehicles, **common, **LOCALIZER)
         start('anchor', **common)
-        # One more, as none are waited for after the last.
-        start('simulator', vehicles=vehicles, duration=float(seconds + 1), rate=1e4, wait_for=2,
-              lockstep=True, beacon_timeout=PATIENCE, pose_timeout=PATIENCE,
+        # Until it is told to end, so that it is there when it is looked at for the last time.
+        start('simulator', vehicles=vehicles, rate=1e4, wait_for=2, lockstep=True,
+              beacon_timeout=PATIENCE, pose_timeout=PATIENCE,
               radio_range=LOCALIZER['radio_range'])
         samples = _watch(seconds, [processes[name] for name in NODES])
-        processes['simulator'].wait()
     complaints = (folder / 'simulator.log').read_text().count('no longer waited for')
     return ({name: course(found) for name, found in zip(NODES, samples, strict=True)},
             complaints, _missing(folder / 'bag', seconds))
@@ -170,7 +169,8 @@ def _watch(seconds: int, processes: Sequence[subprocess.Popen[bytes]]) -> list[l
     samples: list[list[Sample]] = [[] for _ in processes]
     with runtime.session(), closing(Clock()) as clock:
         for number in range(SAMPLES):
-            due = 1 + number * seconds / SAMPLES
+            # Two more, so that all poses of the seconds that count have long been given.
+            due = 2 + (number + 1) * seconds / SAMPLES
             while not clock.spin(lambda at=due: clock.time >= at, PATIENCE):
                 if any(process.poll() is not None for process in processes):
                     raise RuntimeError('a node has ended before its time')
