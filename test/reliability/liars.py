@@ -47,8 +47,8 @@ DELAY = 20  # epochs
 
 
 REASONS = {
-    'ranges': 'Of a third that lies, some vehicles hear half and more: who begins among them has no '
-    'majority to go by, and is told to be LOST.',
+    'ranges': 'Of a third that lies, some vehicles hear half and more: who begins among them has '
+    'no majority to go by, and is shown as LOST.',
     'range-free': 'One disk in six less already costs what column "told" shows. Beyond that: a '
     'disk is wide, and as long as all that a vehicle hears meets somewhere, nothing tells the '
     'lie; it costs the vehicles that have not crossed many edges.',

@@ -75,7 +75,7 @@ def supported_by_ranges(channel: Channel, observation: Observation, mean: Array,
     ranged = channel.distances(observation)[2]
     contradicted = ranged & _contradicted(channel, observation, mean, covariance, limit)
     number = (ranged & ~contradicted).sum(axis=1)
-    supported = number >= mean.shape[1]
+    supported = np.asarray(number >= mean.shape[1])
     asked = np.flatnonzero(supported)
     against, sound = _tried(channel, observation.of(asked), limit)
     elsewhere = (ranged[asked][:, None] & ~against).sum(axis=2)
@@ -226,7 +226,7 @@ def _corners(centre: Array, radius: Array, used: Array) -> tuple[Array, Array]:
 
 def _contradicted(channel: Channel, observation: Observation, mean: Array, covariance: Array,
                   limit: float) -> Array:
-    """Return the rows (V, K) bool whose sender contradicts a position (V, D), NaN where none is."""
+    """Return the rows (V, K) bool whose sender contradicts a place (V, D), NaN where none is."""
     found = deviations(channel, observation, mean, covariance)
     against = found.said & ~found.silent & (found.deviation > limit)
     return np.asarray(
