@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tsmcl_ros.model.consensus import outvoted_by_disks, outvoted_by_ranges
+from tsmcl_ros.model.consensus import (
+    outvoted_by_disks,
+    outvoted_by_ranges,
+    supported_by_ranges,
+)
 from tsmcl_ros.model.radio import Channel, RadioConfig
 from tsmcl_ros.model.recollection import Disks
 from tsmcl_ros.types import Observation, Silence
@@ -57,6 +61,25 @@ def test_vehicles_are_judged_apart_by_ranges():
     both = Observation.stack([ranged(6, (1,), seed=1), ranged(7, (4,), seed=2)], 0.0)
     found = outvoted_by_ranges(CHANNEL, both, 3.0)
     assert [np.flatnonzero(row).tolist() for row in found] == [[1], [4]]
+
+
+def supported(table, belief=HERE):
+    return supported_by_ranges(
+        CHANNEL, table, np.array([belief]), 25 * np.eye(2)[None], 3.0).tolist() == [True]
+
+
+@pytest.mark.parametrize('heard', [4, 6])
+def test_a_right_belief_is_supported_though_half_of_the_ranges_are_lies(heard):
+    assert supported(ranged(heard, range(heard // 2)))
+
+
+@pytest.mark.parametrize('belief', [(900.0, 700.0), (-500.0, 50.0)])
+def test_a_belief_is_not_supported_where_more_ranges_agree_on_another_place(belief):
+    assert not supported(ranged(5), belief)
+
+
+def test_a_belief_with_which_one_range_agrees_is_not_supported():
+    assert not supported(ranged(3, (0, 1)))
 
 
 def disks(*centres, radius=1000.0, later=None):

@@ -58,6 +58,16 @@ def test_who_lies_is_suspected_within_ten_epochs(ranged):
     assert credibility.monitor.suspects() == [[4]]
 
 
+def test_who_knows_its_place_stays_there_though_half_of_what_it_hears_lies():
+    credibility = watch()
+    lies = {0: (2700, 0), 2: (0, 2500), 4: (-1800, 1000)}
+    for _ in range(10):
+        kept, _ = sift(credibility, heard(ranged=True, lies=lies))
+        assert kept == [1, 3, 5]
+    assert credibility.monitor.lost < 0.01
+    assert credibility.monitor.suspects() == [[0, 2, 4]]
+
+
 def test_a_lost_vehicle_believes_ranges_that_agree():
     credibility = watch()
     kept, _ = sift(credibility, heard((300.0, 200.0), ranged=True), mean=(-300, 100))

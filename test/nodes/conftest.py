@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 import time
 from typing import Any
@@ -28,6 +28,16 @@ class Probe(runtime.Node):
         received: list[bytes] = []
         self.listen(topic, kind, received.append, qos)
         return received
+
+    def hears(self, topics: Iterable[str]) -> bool:
+        """
+        Return whether each subscription to these topics has found a publisher.
+
+        Unlike what ROS's graph knows of, which comes before.
+        """
+        wanted = {self.resolve_topic_name(topic) for topic in topics}
+        return all(subscription.get_publisher_count() for subscription in self.subscriptions
+                   if subscription.topic_name in wanted)
 
     def expect(self, condition: Callable[[], bool], what: str) -> None:
         """Handle messages until the condition holds; fail if it never does."""

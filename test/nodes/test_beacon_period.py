@@ -48,7 +48,7 @@ def test_vehicles_in_space_get_beacons_as_often_as_they_ask(
         tmp_path / 'a.yaml', 'anchor', Anchor.configs, use_sim_time=True))
     start('nodes.localizer', *given(
         tmp_path / 'l.yaml', 'localizer', CONFIGS, use_sim_time=True), '-r', '__ns:=/veh_0')
-    probe.expect(lambda: probe.count_publishers('/veh_0/pose') > 0, 'the localizer')
+    probe.expect(lambda: probe.hears(['/veh_0/pose']), 'the localizer')
     epochs = 40
     assert not any(odometry)
     simulator = start('nodes.simulator', *given(

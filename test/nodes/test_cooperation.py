@@ -70,6 +70,7 @@ def test_vehicles_that_hear_too_few_anchors_are_localized_through_others(
     anchors = start('nodes.anchor', *overrides(
         use_sim_time=True, anchor_layout='list', anchor_positions=ANCHORS))
     fleet = start('nodes.fleet', *overrides(vehicles=len(vehicles), use_sim_time=True, **FLEET))
+    fleet.wait_for('anchors on the map')
     # A busy machine is no dead anchor, and no lost localizer.
     simulator = start('nodes.simulator', *overrides(
         seed=SEED, duration=EPOCHS, rate=1000, cooperation=True, pose_timeout=20.0,

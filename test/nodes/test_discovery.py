@@ -120,7 +120,7 @@ def test_the_bag_of_a_driver_replayed_as_it_is_gives_what_it_gives_in_process(
     localizer = start('nodes.localizer', '--ros-args', '--params-file', CONFIG, '-r', ODOM,
                       '-p', 'use_sim_time:=true')
     poses = probe.collect('/pose', messages.POSE, LATCHED_INPUT)
-    probe.expect(lambda: probe.count_publishers('/pose') > 0, 'the localizer')
+    probe.expect(lambda: probe.hears(['/pose']), 'the localizer')
     wanted = [*(f'/uwb/tof/{pair}/distance' for pair in ('n_3/n_7', 'n_4/n_7', 'n_7/n_5')),
               *(f'/vrpn_client_node/turtlebot{i}_cap/pose' for i in (3, 4)), '/cali/turtle01/odom']
     replay = start('nodes.replay', '--ros-args', '-p', f'bag:={bag}', '-p', 'rate:=2.0',

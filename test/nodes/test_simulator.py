@@ -64,7 +64,7 @@ def play(probe: Any, start: Start, topics: Iterable[str], simulation: list[str],
     probe.expect(lambda: not any(map(probe.count_publishers, topics)),
                  'any earlier simulation to be forgotten')
     simulator = start('nodes.simulator', *simulation)
-    probe.expect(lambda: all(map(probe.count_publishers, topics)), "the simulator's topics")
+    probe.expect(lambda: probe.hears(topics), "the simulator's topics")
     process = start('nodes.anchor', *anchors)
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0

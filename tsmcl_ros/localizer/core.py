@@ -135,6 +135,7 @@ class Core:
         claimed = self.channel.corrected(
             self._speakers.heed_silence(self._listen(observation)))
         observation = self._guarded(claimed)
+        self.channel.locate(observation)
         observation = self._sifted(observation, motion)
         astray = self.belief.drop_astray(observation, self.credibility.monitor.lost > 0.5)
         estimate = self._oriented(self.belief.method.update(observation))
@@ -149,7 +150,9 @@ class Core:
         estimate = self.belief.through_outage(estimate, observation, motion, bridged)
         self._bridges.forget(estimate.heard > 0)
         if self._settings.localizer.hold_circles:
-            self.belief.settling.judge(observation, estimate, self.channel.distances(observation))
+            distance, _, used = self.channel.distances(observation)
+            self.belief.settling.judge(
+                observation, estimate, (distance, self.channel.noise(observation), used))
             estimate = replace(estimate, mean=self.belief.settling.placed(estimate))
         self.estimate = estimate
         self._heard_at[estimate.heard > 0] = stamp

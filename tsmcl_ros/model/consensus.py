@@ -20,6 +20,7 @@ from tsmcl_ros.model.bounds import LOGISTIC_STD
 from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.recollection import Disks
+from tsmcl_ros.model.sampling import subsets
 from tsmcl_ros.types import Array, Observation, Silence
 
 # Further hypotheses add little: of 60 triples 18 are sound where a third of the senders lies.
@@ -50,10 +51,37 @@ def outvoted_by_ranges(channel: Channel, observation: Observation, limit: float)
         observation.position[vehicle], distance[vehicle], std[vehicle] ** 2, ranged[vehicle])
     # Mostly all agree.
     vehicle = vehicle[~fits.solved | _contradicted(
-        channel, observation.of(vehicle), fits, limit).any(axis=1)]
+        channel, observation.of(vehicle), *_place(fits), limit).any(axis=1)]
     if len(vehicle):
         against[vehicle] = _by_ranges(channel, observation.of(vehicle), limit)
     return against
+
+
+def supported_by_ranges(channel: Channel, observation: Observation, mean: Array,
+                        covariance: Array, limit: float) -> Array:
+    """
+    Return the vehicles (V,) bool with whose beliefs as many ranges agree as with any other place.
+
+    And at least D of them: who is elsewhere has that many agree by chance seldom, and then has as
+    many as are heard agree on where it is.
+
+    Parameters
+    ----------
+    channel, observation, limit
+        As for `outvoted_by_ranges`.
+    mean, covariance : (V, D), (V, D, D) float
+        The beliefs [m, m^2].
+
+    """
+    ranged = channel.distances(observation)[2]
+    contradicted = ranged & _contradicted(channel, observation, mean, covariance, limit)
+    number = (ranged & ~contradicted).sum(axis=1)
+    supported = np.asarray(number >= mean.shape[1])
+    asked = np.flatnonzero(supported)
+    against, sound = _tried(channel, observation.of(asked), limit)
+    elsewhere = (ranged[asked][:, None] & ~against).sum(axis=2)
+    supported[asked] = number[asked] >= np.where(sound, elsewhere, 0).max(axis=1, initial=0)
+    return supported
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,27 +180,23 @@ def _excess(channel: Channel, places: Array, centre: Array, radius: Array, belie
 
 def _by_ranges(channel: Channel, observation: Observation, limit: float) -> Array:
     """Return the rows (V, K) bool that contradict the majority by their ranges."""
+    against, sound = _tried(channel, observation, limit)
+    return _agreed(against, np.array(0), sound, observation.heard)[0]
+
+
+def _tried(channel: Channel, observation: Observation, limit: float) -> tuple[Array, Array]:
+    """Return the rows (V, H, K) bool that contradict places, and which of these (V, H) are any."""
     vehicles, rows = observation.sender.shape
     distance, std, ranged = channel.distances(observation)
     owner = np.repeat(np.arange(vehicles), _HYPOTHESES)
     several = observation.of(owner)
-    used = _some(ranged, observation.position.shape[2] + 1)
+    used = subsets(ranged, observation.position.shape[2] + 1, _HYPOTHESES).reshape(-1, rows)
     for _ in range(2):
         fix = gaussian.multilaterate(several.position, distance[owner], std[owner] ** 2, used)
-        against = _contradicted(channel, several, fix, limit)
+        against = _contradicted(channel, several, *_place(fix), limit)
         used = ranged[owner] & ~against
-    return _agreed(against.reshape(vehicles, _HYPOTHESES, rows), np.array(0),
-                   fix.solved.reshape(vehicles, _HYPOTHESES), observation.heard)[0]
-
-
-def _some(rows: Array, size: int) -> Array:
-    """Return random subsets of rows (V, K) bool, (V * H, K) bool, of so many rows each."""
-    # Always the same ones, so that what else is random does not depend on them.
-    order = np.random.default_rng(0).random((_HYPOTHESES, rows.shape[1]))
-    order = np.where(rows[:, None], order, np.inf).reshape(-1, rows.shape[1])
-    subsets = np.zeros(order.shape, bool)
-    np.put_along_axis(subsets, np.argpartition(order, size, axis=1)[:, :size], True, axis=1)
-    return subsets
+    return (against.reshape(vehicles, _HYPOTHESES, rows),
+            fix.solved.reshape(vehicles, _HYPOTHESES))
 
 
 def _corners(centre: Array, radius: Array, used: Array) -> tuple[Array, Array]:
@@ -191,15 +215,19 @@ def _corners(centre: Array, radius: Array, used: Array) -> tuple[Array, Array]:
             np.concatenate([meet, meet, used], axis=1))
 
 
-def _contradicted(channel: Channel, observation: Observation, fix: gaussian.Fix, limit: float
-                  ) -> Array:
-    """Return the rows (V, K) bool whose sender contradicts a position."""
-    found = deviations(channel, observation, np.where(
-        fix.solved[:, None], fix.position, np.nan), fix.covariance)
+def _contradicted(channel: Channel, observation: Observation, mean: Array, covariance: Array,
+                  limit: float) -> Array:
+    """Return the rows (V, K) bool whose sender contradicts a place (V, D), NaN where none is."""
+    found = deviations(channel, observation, mean, covariance)
     against = found.said & ~found.silent & (found.deviation > limit)
     return np.asarray(
         (against[:, :, None] & (found.sender[:, :, None] == observation.sender[:, None])
          ).any(axis=1) & observation.heard)
+
+
+def _place(fix: gaussian.Fix) -> tuple[Array, Array]:
+    """Return mean (V, D) and covariance (V, D, D) of fixes, NaN where there is none."""
+    return np.where(fix.solved[:, None], fix.position, np.nan), fix.covariance
 
 
 def _agreed(against: Array, further: Array, sound: Array, heard: Array

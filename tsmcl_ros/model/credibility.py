@@ -14,8 +14,12 @@ from dataclasses import replace
 import numpy as np
 from tsmcl_ros.model.absence import Absences
 from tsmcl_ros.model.claims import Claims
-from tsmcl_ros.model.consensus import outvoted_by_disks, outvoted_by_ranges
-from tsmcl_ros.model.consistency import deviations
+from tsmcl_ros.model.consensus import (
+    outvoted_by_disks,
+    outvoted_by_ranges,
+    supported_by_ranges,
+)
+from tsmcl_ros.model.consistency import Deviations, deviations
 from tsmcl_ros.model.health import HealthConfig, HealthMonitor
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.recollection import Recollection
@@ -97,7 +101,9 @@ class Credibility:
         observation = observation.without(disproved)
         found = deviations(channel, observation, mean, covariance)
         self._absences.learn(found, observation, met)
-        contradicts, counts = monitor.judge_vehicles(found, self._absences.usual(found))
+        supported = self._supported(channel, observation, found, mean, covariance)
+        contradicts, counts = monitor.judge_vehicles(
+            found, self._absences.usual(found) | (supported[:, None] & ~found.disk))
         observation = self._absences.weigh(observation, monitor.lost > 0.5, met)
         placed = np.isfinite(mean[:, 0])
         settled = placed & (monitor.lost < 0.5)
@@ -110,7 +116,8 @@ class Credibility:
         before = monitor.suspicious
         monitor.judge_senders(pairs, contradicts, counts, disproved)
         number, much = counts.sum(axis=1), contradicts.sum(axis=1)
-        alone = contradicts & ~found.silent & (disks | (settled & (2 * much < number))[:, None])
+        alone = contradicts & ~found.silent & (
+            disks | (supported | settled & (2 * much < number))[:, None])
         observation = observation.without(pairs[alone]).without(refused).without(
             monitor.shunned(observation))
         unsure = np.flatnonzero(~settled)
@@ -134,6 +141,20 @@ class Credibility:
             self._believed[young[vehicle]], pairs_of(observation.sender)[rows])
         self._doubtful[:] = False
         self._doubtful[split(np.intersect1d(unmasked, self._believed))[0]] = True
+
+    def _supported(self, channel: Channel, observation: Observation, found: Deviations,
+                   mean: Array, covariance: Array) -> Array:
+        """Return who (V,) bool stays where it is, though half of what it hears is against it."""
+        against = found.said & (found.deviation > self.config.contradiction)
+        counts = against | (found.said & ~found.silent)
+        supported = (against.any(axis=1) & (self.monitor.lost < 0.5)
+                     & (2 * against.sum(axis=1) >= counts.sum(axis=1)))
+        asked = np.flatnonzero(supported)
+        if len(asked):
+            supported[asked] = supported_by_ranges(
+                channel, observation.of(asked), mean[asked], covariance[asked],
+                self.config.contradiction)
+        return supported
 
     def _compare_disks(self, channel: Channel, observation: Observation, asked: Array,
                        settled: Array, mean: Array, variance: Array

@@ -414,7 +414,7 @@ class Channel:
         Returns
         -------
         distance, std : (V, K) float
-            [m].
+            [m]; what is not known of scale and offset counts with the noise.
         used : (V, K) bool
             False where there is no range that counts.
 
@@ -425,8 +425,12 @@ class Channel:
         if self._asymmetric:
             short, long = self._asymmetry(self._indicated(ranges))
             distance = distance + short - long
-        std = np.where(used, self._range_std(observation), 1)
+        std = np.where(used, self._tolerance(observation), 1)
         return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
+
+    def noise(self, observation: Observation) -> Array:
+        """Return the standard deviations (V, K) [m] of distances by the ranges' noise alone."""
+        return np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
 
     def disks(self, observation: Observation) -> tuple[Array, Array]:
         """
@@ -505,6 +509,12 @@ class Channel:
             self._follow_powers()
         self.calibration.follow(
             kinematics_of(motion, dimension), vehicles, dimension, self._floor)
+
+    def locate(self, observation: Observation) -> None:
+        """Learn ahead of an epoch what its ranges to anchors are like: see `RangeCalibration`."""
+        used = observation.heard & ~np.isnan(observation.range) & (observation.kind == ANCHOR)
+        if self.calibrates and used.any():
+            self.calibration.locate(observation, self._range_std(observation), used)
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> list[Prior]:
         """
@@ -608,11 +618,23 @@ class Channel:
         return self.calibration.scale * np.hypot(*self._asymmetry(self._indicated(ranges)))
 
     def _range_std(self, observation: Observation) -> Array:
-        """Return the standard deviation (V, K) [m] of each range."""
+        """Return the standard deviation (V, K) [m] of each range's noise."""
         ranges, told = observation.range, observation.range_std
         if self._asymmetric:
             return np.asarray(self._std_of(ranges))
         return np.where(np.isnan(told), np.float32(self.radio.range_std), told)
+
+    def _tolerance(self, observation: Observation) -> Array:
+        """
+        Return by how much (V, K) [m] sound ranges may be off.
+
+        As long as scale and offset are hardly known, that is more than their noise.
+        """
+        std = self._range_std(observation)
+        if not self.calibrates:
+            return std
+        distance = (observation.range - self.calibration.bias) / self.calibration.scale
+        return np.sqrt(std ** 2 + self.calibration.variance(np.maximum(distance, 0)))
 
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
@@ -652,7 +674,7 @@ class Channel:
         else:
             # Not cut at 0: a normal error reaches below.
             indicated = (ranges - self.calibration.bias) / self.calibration.scale
-            std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
+            std = np.maximum(self._tolerance(observation), 1e-3) / self.calibration.scale
             errors = GaussianErrors.of(column(np.where(ranged, std, np.inf)))
         return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
@@ -697,7 +719,7 @@ class Channel:
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
         presence = np.where(bounded, edge * observation.hops, np.inf)
-        std = self._range_std(observation)
+        std = self._tolerance(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
         measured = np.where(ranged, np.maximum(furthest, std), np.inf)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)

@@ -169,7 +169,10 @@ class LocalizerNode(ManagedNode):
 
     def _heed_map(self, handler: Callable[[bytes], None], data: bytes) -> None:
         handler(data)
-        self._anchors, _ = messages.decode_beacons(data)
+        anchors, _ = messages.decode_beacons(data)
+        if self._anchors is None or not np.array_equal(self._anchors.sender, anchors.sender):
+            self.get_logger().info(f'{anchors.heard.sum()} anchors on the map')
+        self._anchors = anchors
 
     def _heed_links(self, handler: Callable[[bytes], None], data: bytes) -> None:
         handler(data)

@@ -94,6 +94,8 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
     def run(self) -> None:
         """Handle messages until the node is shut down."""
         self.spin(lambda: self.state == 'finalized')
+        # The answer to who asked for that is on its way still.
+        self.settle()
 
     def close(self) -> None:
         """Let go of everything, and of the state's publisher, which rclpy forgets."""

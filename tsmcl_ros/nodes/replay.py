@@ -126,7 +126,7 @@ class Replay(runtime.Node):
         found = self.spin(
             lambda: enough(topic not in missing() for topic in awaited), self._config.wait)
         if found:
-            self.spin(timeout=runtime.SETTLING)
+            self.settle()
         else:
             self.get_logger().warning(f'nobody listens to {", ".join(missing())}')
 

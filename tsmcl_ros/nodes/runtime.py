@@ -234,6 +234,10 @@ class Node(rclpy.node.Node):  # type: ignore[misc]
                 return until()
         return True
 
+    def settle(self) -> None:
+        """Give messages and discoveries time, where nothing tells when they have arrived."""
+        self.spin(timeout=SETTLING)
+
     def drain(self, quiet: float, timeout: float) -> None:
         """Handle what has arrived already, until nothing came for `quiet` [s]; signals wait."""
         end = time.monotonic() + timeout

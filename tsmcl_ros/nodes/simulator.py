@@ -132,6 +132,8 @@ class Simulator(runtime.Node):
         self.get_logger().info(
             f'on the air were {schedule.localizations.sum()} localization messages and '
             f'{schedule.requests.sum()} period messages, {bits} bits')
+        # What was said last would be lost on who is busy.
+        self.settle()
         self.get_logger().info('the simulation is over')
 
     def _ask(self, vehicle: int, data: bytes) -> None:
@@ -149,7 +151,7 @@ class Simulator(runtime.Node):
                 publisher.get_subscription_count() >= self._config.wait_for
                 for publisher in listeners
             ))
-            self.spin(timeout=runtime.SETTLING)
+            self.settle()
 
     def _simulate(self, stamp: float) -> None:
         """
