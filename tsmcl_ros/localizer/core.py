@@ -146,6 +146,7 @@ class Core:
         estimate = replace(estimate, reinitialized=estimate.reinitialized | astray)
         for prior in self.channel.calibrate(observation, estimate):
             self.belief.method.start(prior)
+        estimate = self.channel.placed(estimate)
         if self._settings.evidence.echo_guard > 0 and (
                 self.belief.hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
             estimate = self.belief.hearsay.add(
