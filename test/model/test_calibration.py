@@ -187,6 +187,24 @@ def test_what_was_learnt_outlives_a_vehicle_that_is_placed_anew():
     assert drive(found, 100, start=201).scale == pytest.approx(1.07, abs=0.01)
 
 
+def test_what_was_learnt_serves_another_one():
+    before = drive(calibration(), 200)
+    after = calibration()
+    assert after.learnt is None
+    after.resume(before.learnt)
+    assert (after.scale, after.bias) == (before.scale, before.bias)
+    assert before.covariance[0, 0] < after.covariance[0, 0] < 0.05 ** 2
+    assert drive(after, 20, start=200).scale == pytest.approx(1.07, abs=0.015)
+
+
+def test_what_was_learnt_is_kept_where_vehicles_are_followed_anew():
+    found = drive(calibration(), 200)
+    before = found.scale
+    found.follow(kinematics_of(OdometryMotion(MotionConfig()), 2), 1, 2, 0.02)
+    assert found.scale == before
+    assert drive(found, 1, start=200).scale == pytest.approx(before, abs=0.005)
+
+
 # --- place and calibration at once ------------------------------------------------------------
 
 WIDE = 1000 * np.array([[0, 0], [1, 0.1], [0.9, 1], [0, 1.1], [0.5, 0.6], [0.2, 0.4]])

@@ -8,6 +8,7 @@ import numpy as np
 from tsmcl_ros.localizer.belief import Belief
 from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.settings import Settings
+from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.echo import guard
 from tsmcl_ros.model.health import LOST, OK, STALE
@@ -50,6 +51,8 @@ class Core:
         Where vehicles are at the next epoch, as somebody says.
     lasts : list of Last
         Where another localizer left them, for the first epoch.
+    learnt : Learnt or None
+        What it has learnt of ranges, for the first epoch.
     estimate : Estimate or None
         That of the last epoch.
 
@@ -69,6 +72,7 @@ class Core:
         self.credibility.claims.learn_map(anchors.mapped)
         self.priors: list[Prior] = []
         self.lasts: list[Last] = []
+        self.learnt: Learnt | None = None
         self.estimate: Estimate | None = None
         self._heard_at = np.full(vehicles, -np.inf)
         self._reinitializations = np.zeros(vehicles, int)
@@ -78,7 +82,7 @@ class Core:
     def anew(self) -> Core:
         """Return what it was at its start, with what it has not begun with yet."""
         core = Core(self._settings, self._anchors, self._speakers, self._vehicles)
-        core.lasts = self.lasts
+        core.lasts, core.learnt = self.lasts, self.learnt
         return core
 
     @property
@@ -264,6 +268,9 @@ class Core:
                   for last in self.lasts]
         self.priors[:0] = [prior for prior in priors if prior is not None]
         self.lasts = []
+        if self.learnt is not None and self.channel.calibrates:
+            self.channel.calibration.resume(self.learnt)
+        self.learnt = None
         if not config.set_initial_pose:
             return
         place = [config.initial_pose_x, config.initial_pose_y, config.initial_pose_z]

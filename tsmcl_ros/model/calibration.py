@@ -9,6 +9,8 @@ moved the vehicle; what then contradicts ranges all around, or odometry, is news
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from tsmcl_ros.model.belief import Beliefs, Sight
 from tsmcl_ros.model.joint_fix import joint_fix
@@ -18,6 +20,8 @@ from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Share of its prior that a calibration forgets in an epoch, so that it never quite freezes.
 _FORGOTTEN = 1e-6
+# Share of its prior by which it may have changed while nobody was there.
+_AGED = 0.05
 # Epochs in a row of which most ranges are outliers to a belief, before it is begun anew.
 _PATIENCE = 5
 # Squared distance from an estimate, in standard deviations of both, at which it is begun anew.
@@ -30,6 +34,21 @@ _TOGETHER = 32
 # How sure [rad] of its heading a belief is, and how many times more so than a cloud, or how many
 # standard deviations of both away, to be put in the cloud's place.
 _SURE, _BETTER, _AGAINST = 0.1, 3.0, 4.0
+
+
+class Learnt(NamedTuple):
+    """
+    What is known of scale and offset.
+
+    Attributes
+    ----------
+    mean, covariance : (2,), (2, 2) float64
+        Of scale and offset [m].
+
+    """
+
+    mean: Array
+    covariance: Array
 
 
 class RangeCalibration:
@@ -76,6 +95,7 @@ class RangeCalibration:
             Share of ranges that may say anything.
 
         """
+        learnt = self.learnt
         self._kinematics, self.covariance = kinematics, self._prior
         self._scale = dimension + kinematics.extra
         self._known = slice(self._scale, self._scale + 2)
@@ -86,6 +106,26 @@ class RangeCalibration:
         self._taught = np.zeros(vehicles, bool)
         self._fresh = np.zeros(vehicles, bool)
         self._doubts = np.zeros(vehicles, int)
+        if learnt is not None:
+            self.resume(learnt)
+
+    @property
+    def learnt(self) -> Learnt | None:
+        """What another one can begin with, None if ranges have told nothing yet."""
+        if not self.is_taught:
+            return None
+        return Learnt(np.array([self.scale, self.bias]), self.covariance)
+
+    def resume(self, learnt: Learnt) -> None:
+        """Begin, as soon as vehicles are followed, with what another one has learnt."""
+        beliefs = self._beliefs
+        assert beliefs is not None
+        self._begin = learnt.mean
+        self._prior = learnt.covariance + _AGED * (self._prior - learnt.covariance)
+        self.scale, self.bias = map(float, self._begin)
+        self.covariance = self._prior
+        beliefs.mean[:, self._known] = self._begin
+        beliefs.covariance[:, self._known, self._known] = self._prior
 
     @property
     def is_taught(self) -> bool:
