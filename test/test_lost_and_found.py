@@ -202,3 +202,37 @@ def test_who_asks_to_start_anew_suspects_nobody():
     for vehicle in range(VEHICLES):
         localizer.reinitialize(vehicle)
     assert not any(localizer.health.suspects)
+
+
+@pytest.mark.parametrize('method', ['ts_mcl', 'ekf'])
+@pytest.mark.parametrize(('scale', 'bias'), [(0.9, 0.0), (1.1, 0.0), (1.07, 1.0)])
+def test_precise_ranges_of_a_wrong_scale_lose_nobody(method, scale, bias):
+    radio = {**RANGES, 'range_std': 0.3}
+    world = make_world({**radio, 'range_scale': scale, 'range_bias': bias, 'vehicles': 4},
+                       np.random.default_rng(3))
+    localizer = Localizer({
+        'method': method, 'radio_range': 1500.0, 'range_std': 0.3, 'odom_std': 0.5,
+        'odom_heading': 'known'}, 4)
+    errors = []
+    for _ in range(15):
+        epoch = world.step()
+        estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+        errors.append(np.linalg.norm(estimate.mean - epoch.position, axis=1).max())
+        assert not estimate.reinitialized.any()
+    # The ranges err by up to a hundred metres. Clouds are drawn less finely than 0.3 m at first.
+    assert max(errors) < 10
+    assert max(errors[5:]) < 1.5
+    assert localizer.channel.calibration.scale == pytest.approx(scale, abs=0.001)
+    assert (localizer.health.status == OK).all()
+
+
+def test_liars_from_the_start_do_not_keep_the_scale_from_being_found():
+    world = make_world({**RANGES, 'range_std': 0.3, 'range_scale': 1.1, 'vehicles': 4},
+                       np.random.default_rng(3))
+    localizer = Localizer({'method': 'ekf', 'radio_range': 1500.0, 'range_std': 0.3}, 4)
+    for _ in range(15):
+        epoch = world.step()
+        epoch.observation.position[epoch.observation.sender % 6 == 1] += np.float32(400)
+        estimate = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    assert localizer.channel.calibration.scale == pytest.approx(1.1, abs=0.001)
+    assert np.linalg.norm(estimate.mean - epoch.position, axis=1).max() < 1.5

@@ -187,6 +187,79 @@ def test_what_was_learnt_outlives_a_vehicle_that_is_placed_anew():
     assert drive(found, 100, start=201).scale == pytest.approx(1.07, abs=0.01)
 
 
+def test_what_was_learnt_serves_another_one():
+    before = drive(calibration(), 200)
+    after = calibration()
+    assert after.learnt is None
+    after.resume(before.learnt)
+    assert (after.scale, after.bias) == (before.scale, before.bias)
+    assert before.covariance[0, 0] < after.covariance[0, 0] < 0.05 ** 2
+    assert drive(after, 20, start=200).scale == pytest.approx(1.07, abs=0.015)
+
+
+def test_what_was_learnt_is_kept_where_vehicles_are_followed_anew():
+    found = drive(calibration(), 200)
+    before = found.scale
+    found.follow(kinematics_of(OdometryMotion(MotionConfig()), 2), 1, 2, 0.02)
+    assert found.scale == before
+    assert drive(found, 1, start=200).scale == pytest.approx(before, abs=0.005)
+
+
+# --- place and calibration at once ------------------------------------------------------------
+
+WIDE = 1000 * np.array([[0, 0], [1, 0.1], [0.9, 1], [0, 1.1], [0.5, 0.6], [0.2, 0.4]])
+
+
+def wide(scale=1.1, place=(400.0, 700.0), rows=6):
+    """Return what a radio far from its anchors measures of the first of them."""
+    observation = Observation.empty(1, rows, 2, 0.0)
+    observation.sender[:] = range(rows)
+    observation.position[:] = WIDE[:rows]
+    observation.range[:] = scale * np.linalg.norm(WIDE[:rows] - place, axis=1)
+    return observation
+
+
+def test_one_epoch_of_many_ranges_tells_the_scale():
+    found = calibration()
+    observation = wide()
+    found.locate(observation, *taken(observation)[:2])
+    assert found.scale == pytest.approx(1.1, abs=1e-3)
+    assert found.covariance[0, 0] < 0.003 ** 2
+
+
+def test_what_an_epoch_has_told_is_not_learnt_twice():
+    found = calibration()
+    observation = wide()
+    found.locate(observation, *taken(observation)[:2])
+    before = found.covariance
+    found.learn(observation, estimate([[400.0, 700.0]]), *taken(observation))
+    # But for the little that is forgotten.
+    np.testing.assert_allclose(found.covariance, before, rtol=0.05)
+
+
+def test_what_comes_after_is_learnt_from_where_the_vehicle_was_located():
+    found = calibration()
+    for _ in range(2):
+        observation = wide()
+        found.locate(observation, *taken(observation)[:2])
+        before = found.covariance
+        found.predict(Motion(1.0, np.zeros((1, 2)), np.zeros(1)))
+        found.learn(observation, estimate([[400.0, 700.0]]), *taken(observation))
+    assert found.covariance[0, 0] < 0.7 * before[0, 0]
+
+
+@pytest.mark.parametrize('why', ['few', 'noisy', 'contradicting'])
+def test_ranges_do_not_tell_place_and_scale_at_once_if(why):
+    found = calibration()
+    observation = wide(rows=4 if why == 'few' else 6)
+    std = np.full(observation.range.shape, 150.0 if why == 'noisy' else STD)
+    if why == 'contradicting':
+        observation.range[0, :3] += [300.0, -200.0, 150.0]
+    found.locate(observation, std, observation.heard)
+    assert (found.scale, found.bias) == (1.0, 0.0)
+    assert not found.is_taught
+
+
 # --- a second opinion of the heading ----------------------------------------------------------
 
 @pytest.mark.accuracy

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-import scipy
+from tsmcl_ros.evaluation.metrics import nees_band
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion
 from tsmcl_ros.model.power_calibration import _beyond, PowerCalibration
-from tsmcl_ros.types import Motion
+from tsmcl_ros.types import Motion, Observation, Prior, Silence
 from tsmcl_ros.world import make_world
 
 ANCHORS = np.array([[0, 0], [60, 0], [60, 45], [0, 45], [30, 20], [10, 30]], float)
@@ -16,8 +17,11 @@ RADIO = {'radio_model': 'lognormal', 'rssi_at_reference': -40.0, 'path_loss_expo
          'sigma_db': 4.0, 'sensitivity': -120.0, 'measure_rssi': True, 'odom_heading': 'known'}
 
 
-def calibration(vehicles=1, anchor_std=0.1, time=1e4):
-    found = PowerCalibration(PRIOR, anchor_std, time)
+NOTHING = Evidence((), np.ones(1), np.zeros(1), np.ones(1, bool), lambda: None)
+
+
+def calibration(vehicles=1, anchor_std=0.1, time=1e4, sigma_share=0.1):
+    found = PowerCalibration(PRIOR, anchor_std, time, sigma_share)
     found.follow(OdometryMotion(MotionConfig(odom_heading='known')), vehicles, 2, 0.02)
     return found
 
@@ -28,25 +32,58 @@ def place(epoch, vehicles):
     return np.stack([30 + 25 * np.cos(turn), 22 + 20 * np.sin(turn)], axis=1)
 
 
-def drive(found, epochs, vehicles=1, start=0, off=(0.0, 0.0), anchors=0.0, least=-np.inf):
-    """Let vehicles drive among anchors whose path losses are off, and return the calibration."""
-    rng = np.random.default_rng(start)
+def drive(found, epochs, vehicles=1, off=(0.0, 0.0), anchors=0.0, least=-np.inf, is_mapped=False,
+          noise=1.0, watch=lambda here: None):
+    """
+    Let vehicles drive among anchors whose path losses are off, and return the calibration.
+
+    The anchors (epochs, 6) or (6,) are off for themselves. Of a map are those that are silent.
+    """
+    rng = np.random.default_rng(0)
     sender = np.tile(np.arange(len(ANCHORS)), (vehicles, 1))
+    position = np.tile(ANCHORS, (vehicles, 1, 1))
     reference, exponent, sigma = SUPPOSED
     loss = tuple(np.full(sender.shape, part) for part in SUPPOSED)
-    for epoch in range(start, start + epochs):
+    anchors = np.broadcast_to(anchors, (epochs, len(ANCHORS)))
+    for epoch in range(epochs):
         here = place(epoch, vehicles)
         found.predict(Motion(1.0, here - place(epoch - 1, vehicles), np.zeros(vehicles)))
         distance = np.linalg.norm(ANCHORS - here[:, None], axis=2)
-        rssi = (reference + off[0] + anchors - 10 * (exponent + off[1]) * np.log10(distance)
-                + sigma * rng.standard_normal(distance.shape))
-        found.learn(sender, np.tile(ANCHORS, (vehicles, 1, 1)), rssi, rssi >= least, loss, least)
+        rssi = (reference + off[0] + anchors[epoch]
+                - 10 * (exponent + off[1]) * np.log10(distance)
+                + noise * sigma * rng.standard_normal(distance.shape))
+        silent = Silence(rssi < least, sender, position, np.full(sender.shape, np.nan))
+        found.learn(sender, position, rssi, rssi >= least, loss, least, NOTHING,
+                    *((silent, loss) if is_mapped else ()))
+        watch(here)
     return found
+
+
+def nees(anchor_std, time):
+    """Return the mean NEES of a vehicle whose anchors' shadowing of 4 dB stays for 10 s."""
+    rng, shadowing = np.random.default_rng(1), [4 * np.ones(len(ANCHORS))]
+    for _ in range(79):
+        shadowing.append(np.exp(-0.1) * shadowing[-1] + 4 * np.sqrt(
+            1 - np.exp(-0.2)) * rng.standard_normal(len(ANCHORS)))
+    found, squared = calibration(3, anchor_std, time), []
+
+    def watch(here):
+        mean, covariance = found.pose
+        error = (mean - here)[:, :, None]
+        squared.append((error * np.linalg.solve(covariance, error)).sum(axis=(1, 2)))
+
+    drive(found, 80, 3, anchors=np.array(shadowing), watch=watch)
+    return np.mean(squared[10:])
+
+
+def test_it_is_honest_about_vehicles_whose_anchors_stay_shadowed():
+    low, high = nees_band(2, 12)  # three vehicles, of 70 s that forget in 10 s what they were
+    assert low < nees(4.0, 10.0) < high < nees(0.1, 10.0)
 
 
 @pytest.mark.parametrize('off', [(0.0, 0.0), (6.0, 0.5), (-6.0, -0.5), (6.0, -0.5)])
 def test_what_p_0_and_n_are_off_is_found_to_within_what_it_says(off):
-    found = drive(calibration(3), 80, 3, off=off)
+    found = drive(calibration(3), 60, 3, off=off)
     error = found.mean - off
     assert error @ np.linalg.solve(found.covariance, error) < 9.2  # 99 %
     assert np.sqrt(found.covariance[0, 0]) < 2.0
@@ -54,7 +91,7 @@ def test_what_p_0_and_n_are_off_is_found_to_within_what_it_says(off):
 
 
 def test_p_0_is_found_where_only_the_loud_are_heard():
-    found = drive(calibration(3), 80, 3, off=(3.0, 0.0), least=-91.0)
+    found = drive(calibration(3), 60, 3, off=(3.0, 0.0), least=-91.0)
     error = found.mean - (3.0, 0.0)
     assert error @ np.linalg.solve(found.covariance, error) < 9.2
 
@@ -62,10 +99,35 @@ def test_p_0_is_found_where_only_the_loud_are_heard():
 def test_moments_of_the_loud_are_those_of_a_truncated_normal():
     excess = np.array([-2.0, 0.0, 1.5])
     mean, variance = _beyond(excess)
-    truth = scipy.stats.truncnorm(-excess, np.inf)
-    np.testing.assert_allclose(mean, truth.mean())
-    np.testing.assert_allclose(variance, truth.var(), rtol=1e-6)
+    for row, least in enumerate(-excess):
+        x = np.linspace(least, 12, 100_001)
+        density = np.exp(-0.5 * x ** 2)
+        density /= density.sum()
+        assert mean[row] == pytest.approx(density @ x, rel=1e-3)
+        assert variance[row] == pytest.approx(density @ x ** 2 - (density @ x) ** 2, rel=1e-3)
     np.testing.assert_allclose(_beyond(np.array([np.inf])), [[0], [1]], atol=1e-12)
+
+
+def test_who_is_silent_tells_of_p_0():
+    told, untold = (drive(calibration(), 20, off=(3.0, 0.0), least=-91.0, is_mapped=is_mapped)
+                    for is_mapped in (True, False))
+    assert told.covariance[0, 0] < 0.8 * untold.covariance[0, 0]
+    assert told.mean[0] == pytest.approx(3.0, abs=2.5 * np.sqrt(told.covariance[0, 0]))
+
+
+@pytest.mark.parametrize('noise', [0.6, 1.0, 1.5])
+def test_the_noise_of_rssi_is_found(noise):
+    found = drive(calibration(2), 40, 2, noise=noise)
+    assert found.sigma == pytest.approx(noise, rel=0.15)
+
+
+def test_a_vehicle_is_where_it_is_told_to_be_before_it_has_heard_three():
+    found = calibration(2)
+    found.start(Prior(1, np.array([20.0, 30.0]), np.eye(2)))
+    drive(found, 1, 2, least=np.inf)
+    mean, covariance = found.pose
+    np.testing.assert_allclose(mean[1], [20, 30] + place(0, 2)[1] - place(-1, 2)[1], atol=0.3)
+    assert np.trace(covariance[1]) < 4
 
 
 def test_a_fleet_knows_better_than_one_alone():
@@ -94,14 +156,15 @@ def test_more_anchors_than_it_remembers_take_the_place_of_those_heard_longest_ag
         found.predict(Motion(1.0, np.zeros((1, 2)), np.zeros(1)))
         sender = np.arange(first, first + 6)[None]
         loss = tuple(np.full((1, 6), part) for part in SUPPOSED)
-        found.learn(sender, ANCHORS[None], np.full((1, 6), -85.0), sender >= 0, loss, -np.inf)
+        found.learn(sender, ANCHORS[None], np.full((1, 6), -85.0), sender >= 0, loss, -np.inf,
+                    NOTHING)
     off = found.of(np.arange(60)[None])[0]
     np.testing.assert_array_equal(off[:42], 0)
     assert (off[54:] != 0).all()
     assert np.isfinite(off).all()
 
 
-def rmse(settings, seed=1, epochs=60, vehicles=3):
+def rmse(settings, seed=1, epochs=30, vehicles=2):
     """Return the error [m] of vehicles with odometry, of their second half."""
     world = make_world({**RADIO, 'vehicles': vehicles, 'odom_noise': 0.5},
                        np.random.default_rng(seed))
@@ -138,3 +201,17 @@ def test_what_it_has_learnt_is_told_with_how_well_it_is_known():
     told = localizer.channel.calibrated()
     assert told.keys() == {'P_0 [dBm]', 'path loss exponent'}
     assert all(len(text.split(' +- ')) == 2 for text in told.values())
+
+
+def test_a_vehicle_that_is_to_be_placed_anew_is_nowhere_until_it_hears_something():
+    _, localizer = rmse({'rssi_calibration': 'online'}, epochs=6)
+    localizer.reinitialize(1)
+    estimate = localizer.epoch(Observation.empty(2, 0, 2, localizer.estimate.stamp + 1))
+    np.testing.assert_array_equal(np.isnan(estimate.mean).any(axis=1), [False, True])
+
+
+def test_poses_are_those_that_are_estimated_with_what_rssi_are_off():
+    _, localizer = rmse({'rssi_calibration': 'online'}, epochs=6)
+    mean, covariance = localizer.channel.powers.pose
+    np.testing.assert_array_equal(localizer.estimate.mean, mean)
+    np.testing.assert_array_equal(localizer.estimate.covariance, covariance)

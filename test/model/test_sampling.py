@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from tsmcl_ros.model.sampling import even_shares
+from tsmcl_ros.model.sampling import even_shares, subsets
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -28,3 +28,15 @@ def test_each_even_share_is_uniform_on_its_own() -> None:
     for index in (0, 6):
         for axis in (0, 1):
             assert stats.kstest(shares[:, index, axis], 'uniform').pvalue > 1e-3
+
+
+def test_subsets_are_of_rows_that_count() -> None:
+    rows = np.array([[True, False, True, True, True], [True, True, True, False, True]])
+    chosen = subsets(rows, 3, 20)
+    assert (chosen.sum(axis=2) == 3).all()
+    assert not (chosen & ~rows[:, None]).any()
+
+
+def test_subsets_differ() -> None:
+    chosen = subsets(np.ones((1, 6), bool), 3, 60)
+    assert len(np.unique(chosen[0], axis=0)) > 15  # of 20 that there are

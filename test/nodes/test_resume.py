@@ -11,7 +11,7 @@ import pytest
 from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.nodes.resume import Memory
-from tsmcl_ros.types import Prior
+from tsmcl_ros.types import Observation, Prior
 from tsmcl_ros.world import make_world
 
 NAMES = ['/veh_0', '/veh_1']
@@ -45,6 +45,58 @@ def test_what_one_localizer_keeps_the_next_begins_with(tmp_path: Path) -> None:
             np.testing.assert_array_equal(getattr(kept, name), getattr(known, name))
     assert complaints == []
     assert [item.name for item in tmp_path.iterdir()] == ['last.json']
+
+
+def wise(**settings: Any) -> Localizer:
+    """Return one that has learnt that ranges are 7 % long."""
+    radio = {'radio_range': 1500.0, 'range_std': 1.0}
+    world = make_world(
+        {'vehicles': 2, 'measure_range': True, 'range_scale': 1.07, **radio},
+        np.random.default_rng(1))
+    found = Localizer({**radio, **settings}, 2)
+    found.anchor_map(world.anchors)
+    for _ in range(3):
+        epoch = world.step()
+        found.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    return found
+
+
+def begun(path: Path, **settings: Any) -> Localizer:
+    """Return one that has begun with what was kept, and has heard nothing yet."""
+    after = Localizer(settings, 2)
+    assert memory(path, after, []).recall() == 2
+    after.epoch(Observation.empty(2, 1, 2, 4.0))
+    return after
+
+
+def test_what_was_learnt_of_ranges_is_kept_too(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wise(), []).save()
+    calibration = begun(path).channel.calibration
+    assert calibration.scale == pytest.approx(1.07, abs=1e-3)
+    assert calibration.covariance[0, 0] < 0.03 ** 2
+
+
+@pytest.mark.parametrize('settings', [
+    {'range_scale': 1.02}, {'range_bias': 0.3}, {'range_calibration': 'off'}])
+def test_what_was_learnt_of_ranges_is_of_no_use_where_other_parameters_hold(
+        tmp_path: Path, settings: dict[str, Any]) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wise(), []).save()
+    calibration = begun(path, **settings).channel.calibration
+    assert calibration.scale == settings.get('range_scale', 1.0)
+
+
+@pytest.mark.parametrize(('change', 'reason'), [
+    (('"mean": [1.0', '"mean": [-1.0'), 'must have a scale above 0'),
+    (('"configured": [1.0, 0.0], "mean"', '"configured": [1.0, 0.0], "none"'), "'mean'")])
+def test_what_is_wrong_of_ranges_is_told(tmp_path: Path, change: tuple[str, str], reason: str
+                                         ) -> None:
+    path, complaints = tmp_path / 'last.json', list[str]()
+    memory(path, wise(), []).save()
+    path.write_text(path.read_text().replace(*change))
+    assert memory(path, Localizer({}, 2), complaints).recall() == 0
+    assert reason in complaints[0]
 
 
 def test_poses_are_kept_no_more_often_than_wanted(tmp_path: Path) -> None:

@@ -94,12 +94,12 @@ class Belief:
 
     def resume(self, prior: Prior) -> None:
         """Replace a vehicle's belief by what its own has become."""
-        self.method.start(prior)
+        self._take(prior)
         self.hearsay.forget(prior.vehicle)
 
     def replace(self, prior: Prior) -> None:
         """Replace a vehicle's belief by one that rests on nothing that was heard before."""
-        self.method.start(prior)
+        self._take(prior)
         self.settling.done[prior.vehicle] = True
         self.hearsay.forget(prior.vehicle)
         self.outage.forget(prior.vehicle)
@@ -111,6 +111,7 @@ class Belief:
         self.hearsay.forget(vehicle)
         if self._method is not None:
             self._method.forget(vehicle)
+            self._channel.forget(vehicle)
 
     def drop_astray(self, observation: Observation, lost: Array) -> Array:
         """
@@ -152,6 +153,10 @@ class Belief:
             heard = heard | np.isfinite(motion.displacement).all(axis=1)
         heard[[prior.vehicle for prior in bridged]] = True
         return self.outage.replace(estimate, ~heard)
+
+    def _take(self, prior: Prior) -> None:
+        self.method.start(prior)
+        self._channel.start(prior)
 
     def _make_method(self, odometry: bool) -> Estimator:
         config = self._settings.localizer

@@ -8,6 +8,7 @@ import numpy as np
 from tsmcl_ros.localizer.belief import Belief
 from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.settings import Settings
+from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.echo import guard
 from tsmcl_ros.model.health import LOST, OK, STALE
@@ -50,6 +51,8 @@ class Core:
         Where vehicles are at the next epoch, as somebody says.
     lasts : list of Last
         Where another localizer left them, for the first epoch.
+    learnt : Learnt or None
+        What it has learnt of ranges, for the first epoch.
     estimate : Estimate or None
         That of the last epoch.
 
@@ -69,6 +72,7 @@ class Core:
         self.credibility.claims.learn_map(anchors.mapped)
         self.priors: list[Prior] = []
         self.lasts: list[Last] = []
+        self.learnt: Learnt | None = None
         self.estimate: Estimate | None = None
         self._heard_at = np.full(vehicles, -np.inf)
         self._reinitializations = np.zeros(vehicles, int)
@@ -78,7 +82,7 @@ class Core:
     def anew(self) -> Core:
         """Return what it was at its start, with what it has not begun with yet."""
         core = Core(self._settings, self._anchors, self._speakers, self._vehicles)
-        core.lasts = self.lasts
+        core.lasts, core.learnt = self.lasts, self.learnt
         return core
 
     @property
@@ -135,12 +139,14 @@ class Core:
         claimed = self.channel.corrected(
             self._speakers.heed_silence(self._listen(observation)))
         observation = self._guarded(claimed)
+        self.channel.locate(observation)
         observation = self._sifted(observation, motion)
         astray = self.belief.drop_astray(observation, self.credibility.monitor.lost > 0.5)
         estimate = self._oriented(self.belief.method.update(observation))
         estimate = replace(estimate, reinitialized=estimate.reinitialized | astray)
         for prior in self.channel.calibrate(observation, estimate):
             self.belief.method.start(prior)
+        estimate = self.channel.placed(estimate)
         if self._settings.evidence.echo_guard > 0 and (
                 self.belief.hearsay.covariance.any() or (observation.kind == VEHICLE).any()):
             estimate = self.belief.hearsay.add(
@@ -148,7 +154,9 @@ class Core:
         estimate = self.belief.through_outage(estimate, observation, motion, bridged)
         self._bridges.forget(estimate.heard > 0)
         if self._settings.localizer.hold_circles:
-            self.belief.settling.judge(observation, estimate, self.channel.distances(observation))
+            distance, _, used = self.channel.distances(observation)
+            self.belief.settling.judge(
+                observation, estimate, (distance, self.channel.noise(observation), used))
             estimate = replace(estimate, mean=self.belief.settling.placed(estimate))
         self.estimate = estimate
         self._heard_at[estimate.heard > 0] = stamp
@@ -260,6 +268,9 @@ class Core:
                   for last in self.lasts]
         self.priors[:0] = [prior for prior in priors if prior is not None]
         self.lasts = []
+        if self.learnt is not None and self.channel.calibrates:
+            self.channel.calibration.resume(self.learnt)
+        self.learnt = None
         if not config.set_initial_pose:
             return
         place = [config.initial_pose_x, config.initial_pose_y, config.initial_pose_z]

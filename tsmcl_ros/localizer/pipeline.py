@@ -13,6 +13,7 @@ from tsmcl_ros.localizer.core import Core
 from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.schedule import Schedule
 from tsmcl_ros.localizer.settings import Settings
+from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.echo import certain
 from tsmcl_ros.model.period import PeriodConfig
 from tsmcl_ros.model.radio import Channel
@@ -238,9 +239,9 @@ class Localizer:
         """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
         self._core.priors.append(prior)
 
-    def resume(self, lasts: Sequence[Last]) -> None:
-        """Begin, at the first epoch, where another localizer left its vehicles."""
-        self._core.lasts = list(lasts)
+    def resume(self, lasts: Sequence[Last], learnt: Learnt | None = None) -> None:
+        """Begin, at the first epoch, where another localizer left its vehicles, and as wise."""
+        self._core.lasts, self._core.learnt = list(lasts), learnt
 
     def last_known(self) -> list[Last]:
         """Return what another localizer can begin with: those vehicles that are not lost."""

@@ -9,14 +9,19 @@ moved the vehicle; what then contradicts ranges all around, or odometry, is news
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from tsmcl_ros.model.belief import Beliefs, Sight
+from tsmcl_ros.model.joint_fix import joint_fix
 from tsmcl_ros.model.kinematics import Kinematics
 from tsmcl_ros.model.settling import settled
 from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Share of its prior that a calibration forgets in an epoch, so that it never quite freezes.
 _FORGOTTEN = 1e-6
+# Share of its prior by which it may have changed while nobody was there.
+_AGED = 0.05
 # Epochs in a row of which most ranges are outliers to a belief, before it is begun anew.
 _PATIENCE = 5
 # Squared distance from an estimate, in standard deviations of both, at which it is begun anew.
@@ -24,9 +29,26 @@ _ASTRAY = 25.0
 # The estimate that a belief begins with has used ranges of the same calibration, which is not in
 # its covariance.
 _INFLATION = 4.0
+# Vehicles that are located and calibrated in an epoch: few tell a fleet's calibration well.
+_TOGETHER = 32
 # How sure [rad] of its heading a belief is, and how many times more so than a cloud, or how many
 # standard deviations of both away, to be put in the cloud's place.
 _SURE, _BETTER, _AGAINST = 0.1, 3.0, 4.0
+
+
+class Learnt(NamedTuple):
+    """
+    What is known of scale and offset.
+
+    Attributes
+    ----------
+    mean, covariance : (2,), (2, 2) float64
+        Of scale and offset [m].
+
+    """
+
+    mean: Array
+    covariance: Array
 
 
 class RangeCalibration:
@@ -73,6 +95,7 @@ class RangeCalibration:
             Share of ranges that may say anything.
 
         """
+        learnt = self.learnt
         self._kinematics, self.covariance = kinematics, self._prior
         self._scale = dimension + kinematics.extra
         self._known = slice(self._scale, self._scale + 2)
@@ -81,7 +104,28 @@ class RangeCalibration:
         self._beliefs.covariance[:, self._known, self._known] = self._prior
         self._placed = np.zeros(vehicles, bool)
         self._taught = np.zeros(vehicles, bool)
+        self._fresh = np.zeros(vehicles, bool)
         self._doubts = np.zeros(vehicles, int)
+        if learnt is not None:
+            self.resume(learnt)
+
+    @property
+    def learnt(self) -> Learnt | None:
+        """What another one can begin with, None if ranges have told nothing yet."""
+        if not self.is_taught:
+            return None
+        return Learnt(np.array([self.scale, self.bias]), self.covariance)
+
+    def resume(self, learnt: Learnt) -> None:
+        """Begin, as soon as vehicles are followed, with what another one has learnt."""
+        beliefs = self._beliefs
+        assert beliefs is not None
+        self._begin = learnt.mean
+        self._prior = learnt.covariance + _AGED * (self._prior - learnt.covariance)
+        self.scale, self.bias = map(float, self._begin)
+        self.covariance = self._prior
+        beliefs.mean[:, self._known] = self._begin
+        beliefs.covariance[:, self._known, self._known] = self._prior
 
     @property
     def is_taught(self) -> bool:
@@ -99,6 +143,38 @@ class RangeCalibration:
         if beliefs is not None and self._placed.any():
             beliefs.mean, beliefs.covariance = self._kinematics.predict(
                 beliefs.mean, beliefs.covariance, motion)
+
+    def locate(self, observation: Observation, std: Array, used: Array) -> None:
+        """
+        Begin with vehicles that an epoch's ranges locate and calibrate at once.
+
+        That is before anybody judges these ranges. As long as the calibration leaves them further
+        off than their noise does, sound ones contradict each other as lies do.
+
+        Parameters
+        ----------
+        observation, std, used
+            As for `learn`; only ranges to anchors.
+
+        """
+        beliefs = self._beliefs
+        if beliefs is None or self._placed.all():
+            return
+        size = beliefs.dimension
+        variance = std ** 2 + np.trace(observation.covariance, axis1=2, axis2=3) / size
+        rough = (used & (self.variance(observation.range) > variance)).any(axis=1)
+        enough = used.sum(axis=1) > size + 2
+        vehicle = np.flatnonzero(~self._placed & rough & enough)[:_TOGETHER]
+        if not len(vehicle):
+            return
+        fix = joint_fix(
+            observation.position[vehicle], observation.range[vehicle], variance[vehicle],
+            used[vehicle], (beliefs.mean[vehicle, self._known],
+                            beliefs.covariance[vehicle, self._known, self._known]))
+        vehicle = vehicle[fix.solved]
+        self._begin_at(vehicle, fix.mean[fix.solved], fix.covariance[fix.solved])
+        self._taught[vehicle] = self._fresh[vehicle] = True
+        self._share()
 
     def learn(self, observation: Observation, estimate: Estimate, std: Array, used: Array,
               anchors: Array) -> None:
@@ -125,8 +201,9 @@ class RangeCalibration:
             return
         self._placed &= self._narrow(observation, std, used)
         beliefs.begin()
-        for row in np.flatnonzero((used & self._placed[:, None]).any(axis=0)).tolist():
-            self._measure(used[:, row] & self._placed, observation, row, std[:, row] ** 2)
+        learns, self._fresh = self._placed & ~self._fresh, np.zeros_like(self._fresh)
+        for row in np.flatnonzero((used & learns[:, None]).any(axis=0)).tolist():
+            self._measure(used[:, row] & learns, observation, row, std[:, row] ** 2)
         self._judge(estimate)
         self._place(observation, estimate, std, used & anchors)
         self._share()
@@ -217,14 +294,23 @@ class RangeCalibration:
         if not new.any():
             return
         vehicle = np.flatnonzero(new)
-        rest, spread = self._kinematics.begin()
-        beliefs.mean[vehicle, :size] = estimate.mean[vehicle]
-        beliefs.mean[vehicle, size:self._scale] = rest
-        learnt = beliefs.covariance[vehicle, self._scale:, self._scale:]
+        learnt = beliefs.covariance[vehicle, self._known, self._known]
+        joint = np.zeros((len(vehicle), size + 2, size + 2))
+        joint[:, :size, :size], joint[:, size:, size:] = covariance[vehicle], learnt
+        self._begin_at(vehicle, np.concatenate(
+            [estimate.mean[vehicle], beliefs.mean[vehicle, self._known]], axis=1), joint)
+
+    def _begin_at(self, vehicle: Array, mean: Array, covariance: Array) -> None:
+        """Begin the beliefs of vehicles (W,) int with position, scale and offset (W, D + 2)."""
+        beliefs = self._beliefs
+        assert beliefs is not None
+        told = np.r_[:beliefs.dimension, self._known]
+        rest = np.arange(beliefs.dimension, self._scale)
+        beliefs.mean[np.ix_(vehicle, told)] = mean
         beliefs.covariance[vehicle] = 0
-        beliefs.covariance[vehicle, :size, :size] = covariance[vehicle]
-        beliefs.covariance[vehicle, size:self._scale, size:self._scale] = spread
-        beliefs.covariance[vehicle, self._scale:, self._scale:] = learnt
+        beliefs.covariance[np.ix_(vehicle, told, told)] = covariance
+        beliefs.mean[np.ix_(vehicle, rest)], beliefs.covariance[
+            np.ix_(vehicle, rest, rest)] = self._kinematics.begin()
         self._placed[vehicle] = True
         self._doubts[vehicle] = 0
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.evidence import Evidence
-from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.motion import draw, MotionModel
 from tsmcl_ros.model.particles import (
     best_bandwidth,
     chunks,
@@ -112,16 +112,8 @@ class Cloud:
 
     def start(self, prior: Prior) -> None:
         """Draw one vehicle's particles from a prior belief."""
-        index, count = prior.vehicle, self.config.min_particles
-        self.states[index, :, :self.dimension] = self.rng.multivariate_normal(
-            prior.mean, prior.covariance, count, method='eigh')
-        self.states[index, :, self.dimension:] = self.motion.draw(1, count, self.rng)[0]
-        if self.motion.heading and prior.yaw is not None:
-            self.states[index, :, self.dimension] = (
-                prior.yaw + prior.yaw_std * self.rng.standard_normal(count))
-        elif self.motion.extra and prior.velocity_std is not None:
-            self.states[index, :, self.dimension:] = prior.velocity_std * (
-                self.rng.standard_normal((count, self.motion.extra)))
+        index = prior.vehicle
+        self.states[index] = draw(prior, self.motion, self.config.min_particles, self.rng)
         self._equalize(index)
         self.placed[index] = True
 

@@ -20,6 +20,7 @@ from tsmcl_ros.model.bounds import LOGISTIC_STD
 from tsmcl_ros.model.consistency import deviations
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.recollection import Disks
+from tsmcl_ros.model.sampling import subsets
 from tsmcl_ros.types import Array, Observation, Silence
 
 # Further hypotheses add little: of 60 triples 18 are sound where a third of the senders lies.
@@ -189,23 +190,13 @@ def _tried(channel: Channel, observation: Observation, limit: float) -> tuple[Ar
     distance, std, ranged = channel.distances(observation)
     owner = np.repeat(np.arange(vehicles), _HYPOTHESES)
     several = observation.of(owner)
-    used = _some(ranged, observation.position.shape[2] + 1)
+    used = subsets(ranged, observation.position.shape[2] + 1, _HYPOTHESES).reshape(-1, rows)
     for _ in range(2):
         fix = gaussian.multilaterate(several.position, distance[owner], std[owner] ** 2, used)
         against = _contradicted(channel, several, *_place(fix), limit)
         used = ranged[owner] & ~against
     return (against.reshape(vehicles, _HYPOTHESES, rows),
             fix.solved.reshape(vehicles, _HYPOTHESES))
-
-
-def _some(rows: Array, size: int) -> Array:
-    """Return random subsets of rows (V, K) bool, (V * H, K) bool, of so many rows each."""
-    # Always the same ones, so that what else is random does not depend on them.
-    order = np.random.default_rng(0).random((_HYPOTHESES, rows.shape[1]))
-    order = np.where(rows[:, None], order, np.inf).reshape(-1, rows.shape[1])
-    subsets = np.zeros(order.shape, bool)
-    np.put_along_axis(subsets, np.argpartition(order, size, axis=1)[:, :size], True, axis=1)
-    return subsets
 
 
 def _corners(centre: Array, radius: Array, used: Array) -> tuple[Array, Array]:

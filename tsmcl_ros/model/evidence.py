@@ -322,6 +322,11 @@ class Evidence:
         return replace(self, factors=tuple(
             factor for factor in self.factors if not factor.measures))
 
+    def without(self, *kinds: type[Factor]) -> Evidence:
+        """Return all but some kinds."""
+        return replace(self, factors=tuple(
+            factor for factor in self.factors if not isinstance(factor, kinds)))
+
     @property
     def measured(self) -> Evidence:
         """Only what was measured: ranges and rssi."""

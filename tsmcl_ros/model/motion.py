@@ -16,7 +16,7 @@ from tsmcl_ros.config import Config, param
 from tsmcl_ros.model.kernel import BallKernel, GaussianKernel, Kernel
 from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.model.sampling import even_shares
-from tsmcl_ros.types import Array, Motion
+from tsmcl_ros.types import Array, Motion, Prior
 
 
 @dataclass(frozen=True)
@@ -254,6 +254,19 @@ class VelocityMotion:
         variance = std ** 2 * (forgotten - lost - lost ** 2 / 2)
         across = math.sqrt(max(variance - along ** 2, 0.0))
         return 1 - lost, tau * lost, change, tau * along, tau * across
+
+
+def draw(prior: Prior, motion: MotionModel, count: int, rng: np.random.Generator) -> Array:
+    """Return states (count, D + extra) float32 of a vehicle, drawn from a prior belief."""
+    size = len(prior.mean)
+    states = np.empty((count, size + motion.extra), np.float32)
+    states[:, :size] = rng.multivariate_normal(prior.mean, prior.covariance, count, method='eigh')
+    states[:, size:] = motion.draw(1, count, rng)[0]
+    if motion.heading and prior.yaw is not None:
+        states[:, size] = prior.yaw + prior.yaw_std * rng.standard_normal(count)
+    elif motion.extra and prior.velocity_std is not None:
+        states[:, size:] = prior.velocity_std * rng.standard_normal((count, motion.extra))
+    return states
 
 
 def uniform_ball(shape: tuple[int, ...], radius: float, rng: np.random.Generator) -> Array:

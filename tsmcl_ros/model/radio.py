@@ -33,7 +33,17 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
-from tsmcl_ros.types import ANCHOR, Array, ConfigError, Estimate, Links, Motion, Observation, Prior
+from tsmcl_ros.types import (
+    ANCHOR,
+    Array,
+    ConfigError,
+    Estimate,
+    Links,
+    Motion,
+    Observation,
+    Prior,
+    Silence,
+)
 
 
 @dataclass(frozen=True)
@@ -117,22 +127,26 @@ class EvidenceConfig(Config):
         live=True)
     rssi_calibration: str = param(
         'links', 'estimate P_0 and n from how anchors hear each other, but of anchors in '
-        'anchor_path_loss; or of all anchors while running, from where they are taken to be on',
+        'anchor_path_loss; or of all anchors while running, together with the poses, from where '
+        'they are taken to be on',
         choices=('off', 'links', 'online'), live=True)
     link_neighbours: int = param(
         8, 'nearest neighbours that an anchor is calibrated by, 0 for all', low=0, high=10_000,
         live=True)
     path_loss_exponent_std: float = param(
         0.5, 'how far off path_loss_exponent may be, or n of all anchors alike, before links or '
-        'rssi tell', above=0.0, high=10.0, live=True)
+        'rssi tell', above=0.0, high=10.0)
     rssi_at_reference_std: float = param(
         6.0, 'how far off P_0 of all anchors alike may be, before rssi tells', unit='dB',
         above=0.0, high=100.0)
     anchor_rssi_std: float = param(
-        2.5, 'how far off P_0 of each anchor may be beside that', unit='dB', above=0.0,
+        3.0, 'how far off P_0 of each anchor may be beside that', unit='dB', above=0.0,
         high=100.0)
     anchor_rssi_time: float = param(
         5.0, 'how long it stays so, by shadowing or, much longer, by itself', unit='s', above=0.0)
+    sigma_db_std: float = param(
+        0.2, 'how far off sigma_db of all anchors alike may be, as a share of it, before rssi '
+        'tells', above=0.0, high=1.0)
     outlier_fraction: float = param(
         0.02, "share of measurements that may say anything: the likelihood's uniform floor",
         low=0.0, high=0.5)
@@ -265,7 +279,7 @@ class Channel:
             (switches.range_scale_std, switches.range_bias_std))
         self.powers = PowerCalibration(
             (switches.rssi_at_reference_std, switches.path_loss_exponent_std),
-            switches.anchor_rssi_std, switches.anchor_rssi_time, seed)
+            switches.anchor_rssi_std, switches.anchor_rssi_time, switches.sigma_db_std, seed)
         self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
 
@@ -400,7 +414,7 @@ class Channel:
         Returns
         -------
         distance, std : (V, K) float
-            [m].
+            [m]; what is not known of scale and offset counts with the noise.
         used : (V, K) bool
             False where there is no range that counts.
 
@@ -411,8 +425,12 @@ class Channel:
         if self._asymmetric:
             short, long = self._asymmetry(self._indicated(ranges))
             distance = distance + short - long
-        std = np.where(used, self._range_std(observation), 1)
+        std = np.where(used, self._tolerance(observation), 1)
         return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
+
+    def noise(self, observation: Observation) -> Array:
+        """Return the standard deviations (V, K) [m] of distances by the ranges' noise alone."""
+        return np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
 
     def disks(self, observation: Observation) -> tuple[Array, Array]:
         """
@@ -484,12 +502,19 @@ class Channel:
 
     def follow(self, motion: MotionModel, vehicles: int, dimension: int) -> None:
         """Learn from V vehicles that move by this model in D dimensions."""
+        self._vehicles = vehicles
         self._follow_powers = partial(
             self.powers.follow, motion, vehicles, dimension, self._floor)
         if self.powers.follows:
             self._follow_powers()
         self.calibration.follow(
             kinematics_of(motion, dimension), vehicles, dimension, self._floor)
+
+    def locate(self, observation: Observation) -> None:
+        """Learn ahead of an epoch what its ranges to anchors are like: see `RangeCalibration`."""
+        used = observation.heard & ~np.isnan(observation.range) & (observation.kind == ANCHOR)
+        if self.calibrates and used.any():
+            self.calibration.locate(observation, self._range_std(observation), used)
 
     def calibrate(self, observation: Observation, estimate: Estimate) -> list[Prior]:
         """
@@ -503,7 +528,8 @@ class Channel:
             What is known better by the way: see `RangeCalibration.opinions`.
 
         """
-        if self.calibrates_power and not np.isnan(observation.rssi).all():
+        if self.calibrates_power and (
+                self.powers.follows or not np.isnan(observation.rssi).all()):
             self._calibrate_power(observation, estimate)
         if not self.calibrates or np.isnan(observation.range).all():
             return []
@@ -523,18 +549,43 @@ class Channel:
         return replace(
             observation, rssi=observation.rssi - self.powers.of(observation.sender))
 
+    def start(self, prior: Prior) -> None:
+        """Learn from a vehicle from a prior belief on."""
+        self.powers.start(prior)
+
+    def forget(self, vehicle: int) -> None:
+        """Take a vehicle for anywhere."""
+        self.powers.forget(np.arange(self._vehicles) == vehicle)
+
+    def placed(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with those vehicles that are placed together with what rssi are."""
+        return self.powers.placed(estimate) if self.calibrates_power else estimate
+
     def _calibrate_power(self, observation: Observation, estimate: Estimate) -> None:
         loss = self._supposed(observation.sender)
-        lognormal = self.radio.radio_model == 'lognormal'
+        used = self.powered(observation) & (observation.kind == ANCHOR) & (observation.hops == 1)
+        silence = self.radio.radio_model == 'lognormal' and self.switches.silence != 'none'
         if not self.powers.follows:
             self._follow_powers()
         self.powers.forget(estimate.reinitialized)
         self.powers.learn(
             observation.sender, observation.position,
             observation.rssi + self.powers.of(observation.sender),
-            self.powered(observation) & (observation.kind == ANCHOR) & (observation.hops == 1),
+            used,
             (loss.reference, loss.exponent, loss.sigma),
-            self.radio.sensitivity if lognormal and self.switches.silence != 'none' else -math.inf)
+            self.radio.sensitivity if silence else -math.inf,
+            self.evidence(observation).without(Power, ShadowedBoundary),
+            *(self._silent(observation) if silence else ()))
+
+    def _silent(self, observation: Observation) -> tuple[Silence | None, tuple[Array, ...]]:
+        """Return who was silent to vehicles that heard somebody, and what was to be expected."""
+        silent = observation.silent
+        if silent is None:
+            return None, ()
+        heard = observation.heard.any(axis=1, keepdims=True)
+        loss = self._supposed(silent.sender)
+        return (replace(silent, known=silent.known & heard),
+                (loss.reference, loss.exponent, loss.sigma))
 
     def _measure(self, distance: Array, rng: np.random.Generator) -> Array:
         """Return what ranges say (V, A) [m] at these distances, never below 0."""
@@ -567,11 +618,23 @@ class Channel:
         return self.calibration.scale * np.hypot(*self._asymmetry(self._indicated(ranges)))
 
     def _range_std(self, observation: Observation) -> Array:
-        """Return the standard deviation (V, K) [m] of each range."""
+        """Return the standard deviation (V, K) [m] of each range's noise."""
         ranges, told = observation.range, observation.range_std
         if self._asymmetric:
             return np.asarray(self._std_of(ranges))
         return np.where(np.isnan(told), np.float32(self.radio.range_std), told)
+
+    def _tolerance(self, observation: Observation) -> Array:
+        """
+        Return by how much (V, K) [m] sound ranges may be off.
+
+        As long as scale and offset are hardly known, that is more than their noise.
+        """
+        std = self._range_std(observation)
+        if not self.calibrates:
+            return std
+        distance = (observation.range - self.calibration.bias) / self.calibration.scale
+        return np.sqrt(std ** 2 + self.calibration.variance(np.maximum(distance, 0)))
 
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
@@ -611,7 +674,7 @@ class Channel:
         else:
             # Not cut at 0: a normal error reaches below.
             indicated = (ranges - self.calibration.bias) / self.calibration.scale
-            std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
+            std = np.maximum(self._tolerance(observation), 1e-3) / self.calibration.scale
             errors = GaussianErrors.of(column(np.where(ranged, std, np.inf)))
         return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
@@ -656,7 +719,7 @@ class Channel:
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
         presence = np.where(bounded, edge * observation.hops, np.inf)
-        std = self._range_std(observation)
+        std = self._tolerance(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
         measured = np.where(ranged, np.maximum(furthest, std), np.inf)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)

@@ -24,3 +24,26 @@ def even_shares(number: Array, vehicles: int, dimension: int, rng: np.random.Gen
     points = even.T[:, None] + np.moveaxis(shift, 2, 0)
     points -= np.floor(points)
     return np.moveaxis(points, 0, 2)
+
+
+def subsets(rows: Array, size: int, count: int) -> Array:
+    """
+    Return random subsets of rows, always the same ones, so that nothing random depends on them.
+
+    Parameters
+    ----------
+    rows : (V, K) bool
+        At least `size` of each vehicle, and K above it.
+    size, count : int
+        Of how many rows each, and how many.
+
+    Returns
+    -------
+    (V, count, K) bool
+
+    """
+    order = np.random.default_rng(0).random((count, rows.shape[1]))
+    order = np.where(rows[:, None], order, np.inf)
+    chosen = np.zeros(order.shape, bool)
+    np.put_along_axis(chosen, np.argpartition(order, size, axis=2)[:, :, :size], True, axis=2)
+    return chosen

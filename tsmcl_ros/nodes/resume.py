@@ -1,4 +1,8 @@
-"""The file that a localizer's last poses are kept in, for the one that is started after it."""
+"""
+The file that a localizer's last poses are kept in, for the one that is started after it.
+
+With them goes what it has learnt of ranges, as long as the parameters that it began from stay.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ from typing import Any
 import numpy as np
 from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.localizer import Localizer
+from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.resume import Last
 from tsmcl_ros.types import Array
 
@@ -50,7 +55,7 @@ class Memory:
         """Have the localizer start where the one before ended; return how many vehicles it has."""
         try:
             with self._path.open('rb') as file:
-                found = self._parse(file.read(_LARGEST))
+                found, learnt = self._parse(file.read(_LARGEST))
         except FileNotFoundError:
             return 0
         except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -58,7 +63,7 @@ class Memory:
             self._complain(f'resume_from: {self._path} is not read, vehicles start from anywhere: '
                            f'{type(error).__name__}: {reason}')
             return 0
-        self._localizer.resume(found)
+        self._localizer.resume(found, learnt)
         return len(found)
 
     def save(self, at_once: bool = False) -> None:
@@ -76,7 +81,8 @@ class Memory:
             return
         part = self._path.with_name(f'{self._path.name}.part')
         try:
-            part.write_text(json.dumps({'frame_id': self._output.global_frame_id, 'poses': poses}))
+            part.write_text(json.dumps({
+                'frame_id': self._output.global_frame_id, 'poses': poses, **self._learnt()}))
             part.replace(self._path)
             self._is_broken = False
         except OSError as error:
@@ -84,19 +90,39 @@ class Memory:
                 self._complain(f'resume_from: {self._path} cannot be written: {error.strerror}')
             self._is_broken = True
 
-    def _parse(self, data: bytes) -> list[Last]:
+    def _learnt(self) -> dict[str, Any]:
+        """Return what is to be kept of ranges, if they have told anything."""
+        learnt = self._localizer.channel.calibration.learnt
+        if learnt is None:
+            return {}
+        return {'ranges': {'configured': self._configured, 'mean': learnt.mean.tolist(),
+                           'covariance': learnt.covariance.tolist()}}
+
+    @property
+    def _configured(self) -> list[float]:
+        """What is configured of ranges: what was learnt from other values is of no use."""
+        radio = self._localizer.channel.radio
+        return [radio.range_scale, radio.range_bias]
+
+    def _parse(self, data: bytes) -> tuple[list[Last], Learnt | None]:
         content = json.loads(data)
         if content['frame_id'] != self._output.global_frame_id:
             raise ValueError(f'frame_id {content["frame_id"]!r} is not allowed, must be '
                              f'{self._output.global_frame_id!r}')
         dimension = self._localizer.config.dimension
+        learnt, ranges = None, content.get('ranges')
+        if ranges is not None and ranges['configured'] == self._configured:
+            learnt = Learnt(_array(ranges['mean'], 'mean', (2,)),
+                            _covariance(ranges['covariance'], 2))
+            if learnt.mean[0] <= 0:
+                raise ValueError(f'ranges {ranges} are not allowed, must have a scale above 0')
         return [
             Last(self._names.index(name), float(pose['stamp']),
                  _array(pose['mean'], 'mean', (dimension,)),
                  _covariance(pose['covariance'], dimension), float(pose['rotation']),
                  float(pose['rotation_variance']),
                  _array(pose['odometry'], 'odometry', (4,), finite=False), float(pose['speed']))
-            for name, pose in content['poses'].items() if name in self._names]
+            for name, pose in content['poses'].items() if name in self._names], learnt
 
 
 def _array(value: Any, name: str, shape: tuple[int, ...], finite: bool = True) -> Array:
