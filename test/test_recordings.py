@@ -200,6 +200,20 @@ def test_the_path_losses_hold_for_tracks_that_they_are_not_fitted_to(
     assert np.mean(errors) <= bound
 
 
+def test_the_tag_is_localized_better_together_with_what_its_rssi_are_off(tracks, bags, tmp_path):
+    """By path losses of four tracks on the fifth; config/ble_rssi.yaml's are fitted to all."""
+    samples = {track: gather(csv_log.read_log(track)) for track in tracks}
+    errors = {'off': [], 'online': []}
+    for track in tracks:
+        pooled, single, _ = fit_anchors(join(samples[one] for one in tracks if one != track))
+        fitted = yaml.safe_load(as_parameters(pooled, single, 1.5))
+        settings = {**load_yaml(CONFIG / 'ble_rssi.yaml'), **fitted['/**']['ros__parameters']}
+        for mode, found in errors.items():
+            found.append(rmse(bags(track), tmp_path / f'{track.name}_{mode}',
+                              {**settings, 'rssi_calibration': mode}))
+    assert np.mean(errors['online']) < np.mean(errors['off'])
+
+
 # --- simulated cars in a city of 3 km ---------------------------------------------------------
 
 def test_40_cars_in_a_city_find_themselves_by_beacons_of_1_km(shared_data):

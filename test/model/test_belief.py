@@ -84,8 +84,19 @@ def test_the_log_of_a_range_has_the_gradient_of_finite_differences() -> None:
         beliefs = Beliefs(1, 2, 2, 0.0)
         beliefs.covariance[:] = 0
         beliefs.mean[0] = [x, 7.0]
-        return beliefs.sight(np.zeros((1, 2)), np.zeros((1, 2, 2))).on_log_scale()
+        sight = beliefs.sight(np.zeros((1, 2)), np.zeros((1, 2, 2)))
+        return sight.on_log_scale(beliefs.covariance)
 
     assert at(5.0).expected[0] == pytest.approx(math.log10(math.hypot(5, 7)))
     slope = (at(5.001).expected[0] - at(4.999).expected[0]) / 0.002
     assert at(5.0).gradient[0, 0] == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize('std', [(1.0, 1.0), (3.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 2.0)])
+def test_the_log_of_a_range_is_expected_where_draws_have_it(std: tuple[float, float]) -> None:
+    beliefs = Beliefs(1, 2, 2, 0.0)
+    beliefs.mean[0], beliefs.covariance[0] = [10.0, 0.0], np.diag(np.square(std))
+    sight = beliefs.sight(np.zeros((1, 2)), np.zeros((1, 2, 2))).on_log_scale(beliefs.covariance)
+    drawn = beliefs.mean[0] + std * np.random.default_rng(0).standard_normal((100_000, 2))
+    truth = np.log10(np.linalg.norm(drawn, axis=1)).mean()
+    assert sight.expected[0] == pytest.approx(truth, abs=0.005)  # 0.1 dB with n = 2

@@ -54,11 +54,18 @@ class Sight:
         return cls(expected, slope, variance + gaussian.innovation_variance(
             known, slope, np.zeros(len(slope))))
 
-    def on_log_scale(self) -> Sight:
-        """Return what is expected of the quantity's log10."""
+    def on_log_scale(self, covariance: Array) -> Sight:
+        """
+        Return what is expected of the quantity's log10, given the beliefs' covariance (V, n, n).
+
+        A log bends: its mean is below the log of the mean, by Var / (2 mean^2) to second order,
+        and by what a log-normal variable's is where that is much.
+        """
         value = np.maximum(self.expected, _NEAREST)
         slope = 1 / (math.log(10) * value)
-        return Sight(np.log10(value), slope[:, None] * self.gradient, slope ** 2 * self.variance)
+        spread = gaussian.innovation_variance(covariance, self.gradient, self.variance)
+        return Sight(np.log10(value) - 0.5 * np.log10(1 + spread / value ** 2),
+                     slope[:, None] * self.gradient, slope ** 2 * self.variance)
 
 
 class Beliefs:

@@ -117,6 +117,6 @@ def _expected(belief: tuple[Array, Array], position: Array, known: Array,
     sight = Sight.to(np.repeat(mean, rows[1], axis=0), covariance,
                      position.reshape(-1, size), known.reshape(-1, size, size))
     if logarithmic:
-        sight = sight.on_log_scale()
+        sight = sight.on_log_scale(covariance)
     variance = gaussian.innovation_variance(covariance, sight.gradient, sight.variance)
     return sight.expected.reshape(rows), variance.reshape(rows)

@@ -154,7 +154,8 @@ class GaussianFilter:
                                      std[:, row] ** 2)
             if (used := powered[:, row] & known).any():
                 self.beliefs.measure(
-                    used, self.beliefs.sight(*reference).on_log_scale(), measured[:, row],
+                    used, self.beliefs.sight(*reference).on_log_scale(self.beliefs.covariance),
+                    measured[:, row],
                     (loss.sigma[:, row] / (10 * loss.exponent[:, row])) ** 2)
 
     def _weigh(self, vehicle: Array, observation: Observation) -> None:
@@ -212,7 +213,7 @@ class GaussianFilter:
         for row in np.flatnonzero(used.any(axis=0)).tolist():
             sight = self.beliefs.sight(bound.position[:, row], bound.covariance[:, row])
             if bound.logarithmic:
-                sight = sight.on_log_scale()
+                sight = sight.on_log_scale(self.beliefs.covariance)
             self.beliefs.bound(used[:, row], sight, bound.limit[:, row], int(bound.side[row]),
                                bound.std[:, row] ** 2, bound.missed[:, row])
 
