@@ -89,8 +89,11 @@ class Section:
         return '\n\n'.join([f'## {self.title}', self.text, *tables, *self._reasons()])
 
     def _reasons(self) -> list[str]:
-        return [f'Missed, {goal.what}: {goal.reason}' for goal in self.goals
-                if goal.reason and not goal.is_reached]
+        missed: dict[str, list[str]] = {}
+        for goal in self.goals:
+            if goal.reason and not goal.is_reached:
+                missed.setdefault(goal.reason, []).append(goal.what)
+        return [f'Missed, {"; ".join(goals)}: {reason}' for reason, goals in missed.items()]
 
 
 def as_markdown(rows: Sequence[Sequence[str]]) -> str:
