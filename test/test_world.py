@@ -12,7 +12,8 @@ import pytest
 from scipy import stats
 from tsmcl_ros.config import dump_yaml, parameters
 from tsmcl_ros.model.mobility import State
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import Poses, RelayConfig
 from tsmcl_ros.types import ANCHOR, ConfigError, LogError, Observation, VEHICLE
 from tsmcl_ros.world import (

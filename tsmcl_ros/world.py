@@ -28,7 +28,8 @@ from tsmcl_ros.model.mobility import (
     wrap,
 )
 from tsmcl_ros.model.period import Schedule
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import Poses, relay, RelayConfig, vehicle_beacons
 from tsmcl_ros.traces import FOLLOW, TraceConfig
 from tsmcl_ros.types import Array, ConfigError, Links, Observation, Rows

@@ -18,7 +18,8 @@ from typing import Any
 
 from goals import Goal, Section
 import numpy as np
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import Poses
 from tsmcl_ros.types import Observation
 from tsmcl_ros.world import make_world, receive

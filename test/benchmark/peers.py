@@ -25,7 +25,8 @@ from tsmcl_ros.config import build
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.methods.ts_mcl import TsMcl, TsMclConfig
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Array, Motion, Prior
 from tsmcl_ros.world import Epoch, make_world
 

@@ -16,7 +16,8 @@ from tsmcl_ros.evaluation.path_loss import (
     MIN_BEACONS,
     Samples,
 )
-from tsmcl_ros.model.radio import Channel, PathLoss, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import PathLoss, RadioConfig
 from tsmcl_ros.types import LogError, Observation, Trajectory
 
 

@@ -11,7 +11,8 @@ from tsmcl_ros.evaluation.metrics import normalized_error_squared
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.methods.cooperative import heaviest
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Estimate, Estimator, Motion, Observation, Prior
 from tsmcl_ros.world import anchor_table, receive
 

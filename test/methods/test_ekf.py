@@ -10,7 +10,8 @@ from scipy import stats
 from tsmcl_ros.evaluation.metrics import normalized_error_squared
 from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 
 RANGE_STD = 2.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Motion, Observation
 
 # All of them are near the middle of the circle, so that the azimuth is that of the way.

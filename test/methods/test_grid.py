@@ -12,7 +12,8 @@ import pytest
 from scipy import integrate, stats
 from tsmcl_ros.methods.grid import disk_kernel, Grid, GridConfig, hat_kernel
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 
 KNOWN = {'motion_model': 'odometry', 'odom_heading': 'known', 'odom_std': 0.0, 'alpha3': 0.0,

@@ -15,7 +15,8 @@ import pytest
 from scipy import stats
 from tsmcl_ros.methods.ts_mcl import TsMcl, TsMclConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import Motion
 from tsmcl_ros.world import make_world

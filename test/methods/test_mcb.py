@@ -10,7 +10,8 @@ from tsmcl_ros.methods.grid import Grid, GridConfig
 from tsmcl_ros.methods.mcb import Mcb, McbConfig
 from tsmcl_ros.methods.mcl import Mcl, MclConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Motion, Observation, Prior
 
 CHANNEL = Channel(RadioConfig(radio_range=100.0, edge_softness=0.1, range_std=30.0),

@@ -10,7 +10,8 @@ from scipy import stats
 from tsmcl_ros.methods.grid import Grid, GridConfig
 from tsmcl_ros.methods.mcl import Mcl, MclConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Motion, Observation, Prior, Silence
 
 SIGNIFICANCE = 1e-3

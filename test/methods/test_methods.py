@@ -17,7 +17,8 @@ import pytest
 from scipy import integrate, stats
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.motion import motion_model, MotionConfig, uniform_ball
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.types import Estimate, Estimator, Motion, Observation, Prior
 from tsmcl_ros.world import anchor_table, receive

@@ -15,7 +15,8 @@ import pytest
 from scipy import stats
 from tsmcl_ros.methods.ts_mcl import score, TsMcl, TsMclConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 
 # Statistical tests have fixed seeds and reject at one in a thousand.

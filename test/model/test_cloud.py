@@ -12,7 +12,8 @@ from tsmcl_ros.model.cloud import Cloud, CloudConfig, ParticleFilter
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion, RandomMotion
 from tsmcl_ros.model.particles import spread
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
 
 # Statistical tests have fixed seeds and reject at one in a thousand.

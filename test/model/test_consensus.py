@@ -9,7 +9,8 @@ from tsmcl_ros.model.consensus import (
     outvoted_by_ranges,
     supported_by_ranges,
 )
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.recollection import Disks
 from tsmcl_ros.types import Observation, Silence
 

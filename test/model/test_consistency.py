@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 from tsmcl_ros.model.consistency import deviations
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Observation, Silence
 
 RANGING = Channel(RadioConfig(radio_range=1000.0, range_std=3.0))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.health import HealthConfig
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.types import Observation
 
 CHANNEL = Channel(RadioConfig(radio_range=1000.0, edge_softness=5.0, range_std=2.0))

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tsmcl_ros.model.links import Fit, fit_links
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Links
 from tsmcl_ros.world import anchor_table, hear_each_other
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 from scipy import integrate, stats
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.model.ranging import AsymmetricErrors, draw_asymmetric, GaussianErrors, RangeErrors
 from tsmcl_ros.types import Observation
 

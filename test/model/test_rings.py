@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tsmcl_ros.model.geometry import Arcs
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.model.ranging import without_ranges
 from tsmcl_ros.model.rings import Rings
 from tsmcl_ros.types import Observation

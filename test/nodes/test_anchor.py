@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tsmcl_ros import messages
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.nodes.anchor import Anchor
 from tsmcl_ros.nodes.runtime import LATCHED_INPUT, main, RELIABLE
 from tsmcl_ros.world import hear_each_other, make_world

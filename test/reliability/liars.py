@@ -20,7 +20,8 @@ import numpy as np
 from tsmcl_ros.config import build
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.health import OK
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.types import Array, Observation, PADDED
 from tsmcl_ros.world import Epoch, make_world, receive
 

@@ -10,7 +10,7 @@ from tsmcl_ros.config import adjust, build, Config, param, refuse_unknown
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.health import HealthConfig
 from tsmcl_ros.model.motion import MotionConfig
-from tsmcl_ros.model.radio import EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.model.speakers import SpeakerConfig
 from tsmcl_ros.types import ConfigError
 

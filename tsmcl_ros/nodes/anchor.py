@@ -10,7 +10,8 @@ import numpy as np
 from tsmcl_ros import messages
 from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.csv_log import read_anchors
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.security import SecurityConfig
 from tsmcl_ros.types import Links, Observation

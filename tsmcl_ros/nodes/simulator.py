@@ -13,7 +13,8 @@ import numpy as np
 from rclpy.publisher import Publisher
 from tsmcl_ros import messages
 from tsmcl_ros.config import build, Config, param
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import Poses, RelayConfig
 from tsmcl_ros.nodes import runtime
 from tsmcl_ros.nodes.reports import Reports

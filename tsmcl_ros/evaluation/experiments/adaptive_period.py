@@ -39,7 +39,8 @@ from tsmcl_ros.methods.ekf import Ekf
 from tsmcl_ros.model.mobility import RandomWaypoint, RandomWaypointConfig
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.period import AirCost, Schedule
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import Array, Estimate, Motion, Observation
 
 VOLUME = (400.0, 400.0, 200.0)  # m; the paper does not tell its own

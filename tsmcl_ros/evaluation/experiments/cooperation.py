@@ -23,7 +23,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
     Result,
     significant,
 )
-from tsmcl_ros.model.radio import RadioConfig
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.types import Array
 
 SIDE, RANGE = 100.0, 30.0  # m

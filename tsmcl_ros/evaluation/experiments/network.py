@@ -11,7 +11,8 @@ from tsmcl_ros.evaluation.monte_carlo import Stopwatch
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.echo import handed_on, Hearsay
 from tsmcl_ros.model.motion import motion_model, MotionConfig
-from tsmcl_ros.model.radio import Channel, EvidenceConfig, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
 from tsmcl_ros.types import ANCHOR, Array, Estimate, Observation, PADDED, VEHICLE
 
 

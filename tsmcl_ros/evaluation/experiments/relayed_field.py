@@ -26,7 +26,8 @@ from tsmcl_ros.evaluation.monte_carlo import (
 )
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.mobility import State
-from tsmcl_ros.model.radio import Channel, RadioConfig
+from tsmcl_ros.model.radio import Channel
+from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import RelayConfig
 from tsmcl_ros.types import Array
 from tsmcl_ros.world import anchor_table, hear_each_other, World, WorldConfig
