@@ -137,14 +137,17 @@ def test_a_file_that_is_none_is_one_line_and_vehicles_start_from_anywhere(
 ) -> None:
     path, complaints = tmp_path / 'last.json', list[str]()
     memory(path, localizer(), complaints).save()
-    path.write_bytes(change(path.read_text()).encode(errors='surrogateescape'))
+    content = change(path.read_text()).encode(errors='surrogateescape')
+    path.write_bytes(content)
     after = Localizer(SETTINGS, 2)
     assert memory(path, after, complaints).recall() == 0
     [line] = complaints
-    assert line.startswith(f'resume_from: {path} is not read, vehicles start from anywhere: ')
+    assert line.startswith(f'resume_from: {path} is not read but kept as last.json.unread, '
+                           'vehicles start from anywhere: ')
     assert reason in line
     assert '\n' not in line
     assert after._core.lasts == []
+    assert path.with_name('last.json.unread').read_bytes() == content
 
 
 def test_a_file_of_other_vehicles_is_of_no_use(tmp_path: Path) -> None:

@@ -60,8 +60,8 @@ class Memory:
             return 0
         except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             reason = ' '.join(str(error).split()) or type(error).__name__
-            self._complain(f'resume_from: {self._path} is not read, vehicles start from anywhere: '
-                           f'{type(error).__name__}: {reason}')
+            self._complain(f'resume_from: {self._path} is not read{self._kept()}, vehicles start '
+                           f'from anywhere: {type(error).__name__}: {reason}')
             return 0
         self._localizer.resume(found, learnt)
         return len(found)
@@ -89,6 +89,15 @@ class Memory:
             if not self._is_broken:
                 self._complain(f'resume_from: {self._path} cannot be written: {error.strerror}')
             self._is_broken = True
+
+    def _kept(self) -> str:
+        """Put what is no file of poses out of the way of those to come; return where it is."""
+        kept = self._path.with_name(f'{self._path.name}.unread')
+        try:
+            self._path.replace(kept)
+        except OSError:
+            return ''
+        return f' but kept as {kept.name}'
 
     def _learnt(self) -> dict[str, Any]:
         """Return what is to be kept of ranges, if they have told anything."""
