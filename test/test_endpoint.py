@@ -101,7 +101,7 @@ def test_a_pose_is_stamped_with_the_measurement_in_the_maps_frame():
 
 
 def test_what_is_not_estimated_has_a_large_variance():
-    target = endpoint('/a', range_calibration='off')
+    target = endpoint('/a')
     give(target, '/a/beacons', encoded(scan(5.0, (20, 30))))
     [(_, data)] = poses(target)
     covariance = messages.decode_pose(data).covariance

@@ -189,6 +189,7 @@ def test_a_pose_as_rviz_sends_it_is_read():
     ({'c1': 0.1}, 'pose.covariance is not allowed'),
     ({'c1': 1.0, 'c6': 1.0}, 'pose.covariance is not allowed'),
     ({'c3': 1e300, 'c18': 1e300}, 'pose.covariance is not allowed'),
+    ({'c0': 1e-300, 'c3': 1e300, 'c18': 1e300, 'c21': 1e-300}, 'pose.covariance is not allowed'),
 ])
 def test_a_pose_is_refused(changes, error):
     with pytest.raises(MessageError, match=error):

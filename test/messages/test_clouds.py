@@ -345,6 +345,13 @@ def test_a_scan_is_refused_for(what):
         messages.decode_beacons(make())
 
 
+def test_a_nan_that_signals_is_a_nan_as_others():
+    rows = cloud([{**beacon(5), 'x': math.pi}], [('x', 'f8', 16), *FIELDS[1:]])
+    signals = np.uint64(0x7ff0000000000001).tobytes()
+    with pytest.raises(MessageError, match='x nan of id 5 is not allowed, must be a number'):
+        messages.decode_beacons(rows.replace(np.float64(math.pi).tobytes(), signals))
+
+
 SOUND = beacon(1, kind=0, hops=1, range=3.0, rssi=-60.0, cov_xx=0.0, cov_xy=0.0, cov_yy=0.0)
 UNTRUE_ROWS = [{'x': math.nan}, {'y': 2e5}, {'range': -1.0}, {'rssi': math.inf}, {'kind': 2},
                {'hops': 0}, {'cov_yy': -1.0}, {'cov_xy': math.inf}, {'cov_xy': 1.0},

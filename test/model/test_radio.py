@@ -710,26 +710,6 @@ def test_calibration_learns_the_scale_of_ranges() -> None:
     assert score[1] < -10.0
 
 
-@pytest.mark.parametrize(('mode', 'expected'), [
-    ('online', math.sqrt(3.0 ** 2 + (0.1 * 50.0) ** 2 + 0.5 ** 2)), ('off', 3.0)])
-def test_ranges_may_be_off_by_what_is_not_known_of_scale_and_offset(
-        mode: str, expected: float) -> None:
-    radio = channel(range_calibration=mode)
-    radio.follow(RandomMotion(MotionConfig()), 1, 2)
-    observation = listen(ORIGIN, range=50.0, range_std=3.0)
-    assert radio.distances(observation)[1] == pytest.approx(expected)
-    assert radio.noise(observation) == pytest.approx(3.0)
-
-
-def test_a_vehicle_may_be_as_far_away_as_scale_and_offset_allow() -> None:
-    radio = channel({'radio_range': 0.0}, range_calibration='online')
-    observation = listen(ORIGIN, range=50.0, range_std=1.0)
-    before = radio.evidence(observation).box[0, 1, 0]
-    radio.follow(RandomMotion(MotionConfig()), 1, 2)
-    assert radio.evidence(observation).box[0, 1, 0] == pytest.approx(
-        before + 3 * (math.sqrt(1.0 + 5.0 ** 2 + 0.5 ** 2) - 1.0), rel=1e-5)
-
-
 def test_calibration_learns_nothing_from_asymmetric_errors() -> None:
     radio = channel({'range_noise': 'asymmetric_exponential'}, range_calibration='online')
     ranged_epochs(radio)

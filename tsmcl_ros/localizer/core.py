@@ -154,9 +154,7 @@ class Core:
         estimate = self.belief.through_outage(estimate, observation, motion, bridged)
         self._bridges.forget(estimate.heard > 0)
         if self._settings.localizer.hold_circles:
-            distance, _, used = self.channel.distances(observation)
-            self.belief.settling.judge(
-                observation, estimate, (distance, self.channel.noise(observation), used))
+            self.belief.settling.judge(observation, estimate, self.channel.distances(observation))
             estimate = replace(estimate, mean=self.belief.settling.placed(estimate))
         self.estimate = estimate
         self._heard_at[estimate.heard > 0] = stamp

@@ -21,8 +21,9 @@ def is_covariance(matrix: Array) -> Array:
     with np.errstate(over='ignore'):
         correlation = np.divide(matrix, scale, out=np.array(matrix), where=scale > 0)
     wrong = np.abs(correlation) > 1 + _ROUNDING
+    # What overflows is wrong already, and nothing to reckon with.
+    correlation = np.clip(correlation, -2, 2)
     wrong |= np.abs(correlation - np.swapaxes(correlation, -1, -2)) > _ROUNDING
     sound &= ~wrong.any(axis=(-2, -1))
-    # What overflows is wrong already, and nothing to reckon with.
-    least = np.linalg.eigvalsh(np.clip(correlation, -2, 2))[..., 0]
+    least = np.linalg.eigvalsh(correlation)[..., 0]
     return np.asarray(sound & (least >= -_ROUNDING))

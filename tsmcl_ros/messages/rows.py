@@ -66,8 +66,8 @@ def unify(rows: Array) -> Array:
     if rows.dtype is ROW:
         return rows
     table = np.full(len(rows), _UNSAID)
-    # A FLOAT64 beyond FLOAT32 becomes infinite, which is refused later.
-    with np.errstate(over='ignore'):
+    # A FLOAT64 beyond FLOAT32 becomes infinite, which is refused later; NaN may signal, too.
+    with np.errstate(over='ignore', invalid='ignore'):
         for name in rows.dtype.names or ():
             table[name] = rows[name]
     return table.view(ROW)

@@ -289,10 +289,8 @@ class RangeCalibration:
             used.sum(axis=1), 1)
         covariance = (_INFLATION * estimate.covariance
                       + supposed[:, None, None] * np.eye(size))
-        # Estimates are no better than ranges so far off let them be.
-        tolerance = np.sqrt(std ** 2 + self.variance(observation.range))
         new = ~self._placed & used.any(axis=1) & settled(
-            observation, estimate, (observation.range, tolerance, used))
+            observation, estimate, (observation.range, std, used))
         if not new.any():
             return
         vehicle = np.flatnonzero(new)

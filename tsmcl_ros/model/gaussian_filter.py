@@ -246,10 +246,9 @@ class GaussianFilter:
         box = self.channel.evidence(observation).box
         side = (box[:, 1] - box[:, 0]).max(axis=1) / _POINTS ** (1 / self.dimension)
         # The peaks of ranges must not fall between the points, however many make one.
-        used = self.channel.distances(observation)[2]
+        _, std, used = self.channel.distances(observation)
         grain = side * np.sqrt(np.maximum(used.sum(axis=1), 1))
-        noise = self.channel.noise(observation) * self.channel.calibration.scale
-        blurred = np.hypot(noise, grain[:, None])
+        blurred = np.hypot(std * self.channel.calibration.scale, grain[:, None])
         evidence = self.channel.evidence(replace(observation, range_std=blurred))
         low, high = box[vehicle, :1], box[vehicle, 1:]
         points = low + (high - low) * self.rng.random(

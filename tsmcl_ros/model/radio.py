@@ -232,7 +232,7 @@ class Channel:
         Returns
         -------
         distance, std : (V, K) float
-            [m]; what is not known of scale and offset counts with the noise.
+            [m].
         used : (V, K) bool
             False where there is no range that counts.
 
@@ -243,12 +243,8 @@ class Channel:
         if self._asymmetric:
             short, long = self._asymmetry(self._indicated(ranges))
             distance = distance + short - long
-        std = np.where(used, self._tolerance(observation), 1)
+        std = np.where(used, self._range_std(observation), 1)
         return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
-
-    def noise(self, observation: Observation) -> Array:
-        """Return the standard deviations (V, K) [m] of distances by the ranges' noise alone."""
-        return np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
 
     def disks(self, observation: Observation) -> tuple[Array, Array]:
         """
@@ -442,18 +438,6 @@ class Channel:
             return np.asarray(self._std_of(ranges))
         return np.where(np.isnan(told), np.float32(self.radio.range_std), told)
 
-    def _tolerance(self, observation: Observation) -> Array:
-        """
-        Return by how much (V, K) [m] sound ranges may be off.
-
-        As long as scale and offset are hardly known, that is more than their noise.
-        """
-        std = self._range_std(observation)
-        if not self.calibrates:
-            return std
-        distance = (observation.range - self.calibration.bias) / self.calibration.scale
-        return np.sqrt(std ** 2 + self.calibration.variance(np.maximum(distance, 0)))
-
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
         loss = self._supposed(sender)
@@ -492,7 +476,7 @@ class Channel:
         else:
             # Not cut at 0: a normal error reaches below.
             indicated = (ranges - self.calibration.bias) / self.calibration.scale
-            std = np.maximum(self._tolerance(observation), 1e-3) / self.calibration.scale
+            std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
             errors = GaussianErrors.of(column(np.where(ranged, std, np.inf)))
         return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
@@ -537,7 +521,7 @@ class Channel:
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
         presence = np.where(bounded, edge * observation.hops, np.inf)
-        std = self._tolerance(observation)
+        std = self._range_std(observation)
         furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
         measured = np.where(ranged, np.maximum(furthest, std), np.inf)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)
