@@ -39,12 +39,18 @@ PATIENCE = 60.0  # s, in which nothing need happen
 
 
 class Sample(NamedTuple):
-    """What a process holds: resident memory [MB], threads, descriptors; and has worked [s]."""
+    """
+    What a process holds: resident memory [MB], threads, descriptors; and has worked [s].
+
+    A yardstick tells how long [s] the machine takes for the same work each time, as its speed
+    depends on what else goes on.
+    """
 
     memory: float
     threads: int
     descriptors: int
     work: float
+    yardstick: float
 
 
 class Course(NamedTuple):
@@ -56,7 +62,7 @@ class Course(NamedTuple):
     growth : float
         Share by which the memory of the last quarter is above that after the warm-up, a tenth.
     slowing : float
-        The same of the processor's time that a simulated second takes.
+        The same of the processor's time that a simulated second takes, over the yardstick's.
     memory : float
         At the end [MB].
     threads, descriptors : int
@@ -78,13 +84,22 @@ def sample(process: int) -> Sample:
     ticks = Path(folder, 'stat').read_text().rpartition(')')[2].split()[11:13]
     return Sample(pages * os.sysconf('SC_PAGE_SIZE') / 1e6, len(os.listdir(folder / 'task')),
                   len(os.listdir(folder / 'fd')),
-                  sum(map(int, ticks)) / os.sysconf('SC_CLK_TCK'))
+                  sum(map(int, ticks)) / os.sysconf('SC_CLK_TCK'), _yardstick())
+
+
+def _yardstick() -> float:
+    """Return the processor's time [s] of what vehicles cost: small arrays, and Python."""
+    begin = time.process_time()
+    values = np.arange(200.0)
+    for _ in range(2000):
+        values = np.sort(np.sqrt(values * values + 1.0))
+    return time.process_time() - begin
 
 
 def course(samples: Sequence[Sample]) -> Course:
     """Sum up a process's samples, which were taken at equal times of the simulation."""
-    memory, threads, descriptors, work = np.array(samples[len(samples) // 10:]).T
-    pace = np.diff(work)
+    memory, threads, descriptors, work, yardstick = np.array(samples[len(samples) // 10:]).T
+    pace = np.diff(work) / (yardstick[1:] + yardstick[:-1])
     quarter = len(pace) // 4
 
     def rise(values: np.ndarray) -> float:
