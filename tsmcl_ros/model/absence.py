@@ -18,7 +18,7 @@ import math
 import numpy as np
 from tsmcl_ros.model.consistency import Deviations
 from tsmcl_ros.model.health import BY_CHANCE, HealthConfig
-from tsmcl_ros.types import ANCHOR, Array, Observation
+from tsmcl_ros.types import ANCHOR, Array, Observation, pair, pairs_of, split
 
 # Epochs of hearing an anchor that are taken for granted when it is missed for the first time.
 _GRANTED = 20.0
@@ -37,7 +37,6 @@ _STRANGE = 0.5
 _FIRST_RATE, _LOST_RATE = 0.05, 0.1
 # Epochs after a vehicle was placed anew in which it is not taken to be elsewhere once more.
 _NEW = 20
-_ID_BITS = 32
 
 
 class Absences:
@@ -58,7 +57,6 @@ class Absences:
     def __init__(self, config: HealthConfig, miss_rate: float, vehicles: int):
         self.config = config
         self.miss_rate = miss_rate
-        self._vehicle = np.arange(vehicles)[:, None]
         # Pairs of a vehicle and an anchor, increasing, and how often it was missed of late.
         self._pair = np.zeros(0, np.int64)
         self._missed = np.zeros(0)
@@ -68,7 +66,7 @@ class Absences:
 
     def forget(self, vehicle: int) -> None:
         """Hold nothing against the anchors that one vehicle misses."""
-        self._keep(self._pair >> _ID_BITS != vehicle)
+        self._keep(split(self._pair)[0] != vehicle)
 
     def learn(self, deviations: Deviations, observation: Observation, met: Array) -> None:
         """
@@ -85,24 +83,24 @@ class Absences:
 
         """
         self._renewed -= self._renewed > 0
-        contradicts = deviations.said & (deviations.deviation > self.config.contradiction)
+        contradicts = deviations.contradicts(self.config.contradiction)
         loud = deviations.said & ~deviations.silent
         missed = contradicts & deviations.silent & loud.any(axis=1, keepdims=True)
         if not len(self._pair) and not missed.any():
             self._last = self._first = self._pair
             return
-        heard = np.where(observation.heard, (self._vehicle << _ID_BITS) + observation.sender, -1)
+        heard = np.where(observation.heard, pairs_of(observation.sender), -1)
         self._missed = np.where(
             np.isin(self._pair, heard), _FORGIVEN * self._missed, self._missed)
         surprising = missed & (self._times(deviations.sender) < _MISSING)
         surprising &= (self._renewed == 0)[:, None] & ~self._strange(observation, met)[:, None]
         vehicle, row = np.nonzero(missed)
-        pair = (vehicle << _ID_BITS) + deviations.sender[vehicle, row]
-        self._first, self._last = np.setdiff1d(pair, self._last), pair
+        pairs = pair(vehicle, deviations.sender[vehicle, row])
+        self._first, self._last = np.setdiff1d(pairs, self._last), pairs
         weight = self._in_place(
             loud & ~contradicts, loud & contradicts, surprising)[vehicle]
         self._pair, place = np.unique(
-            np.concatenate([self._pair, pair]), return_inverse=True)
+            np.concatenate([self._pair, pairs]), return_inverse=True)
         self._missed = np.minimum(_MOST, np.bincount(
             place.reshape(-1), np.concatenate([self._missed, weight]), len(self._pair)))
         self._keep(self._missed > _FORGOTTEN)
@@ -140,7 +138,7 @@ class Absences:
         rate = np.maximum(self._rate(silent.sender), outdated[:, None])
         known = silent.known & (rate <= max(_LASTING, self.miss_rate))
         rate = np.where(lost[:, None], np.maximum(rate, _LOST_RATE), rate)
-        first = np.isin((self._vehicle << _ID_BITS) + silent.sender, self._first)
+        first = np.isin(pairs_of(silent.sender), self._first)
         rate = np.where(first, np.maximum(rate, _FIRST_RATE), rate)
         return replace(observation, silent=replace(
             silent, known=known, miss_rate=rate.astype(np.float32)))
@@ -154,9 +152,9 @@ class Absences:
         """Return how often senders, ids (V, S), were missed of late."""
         if not len(self._pair):
             return np.zeros(sender.shape)
-        pair = (self._vehicle << _ID_BITS) + sender
-        index = np.minimum(np.searchsorted(self._pair, pair), len(self._pair) - 1)
-        return np.where(self._pair[index] == pair, self._missed[index], 0)
+        pairs = pairs_of(sender)
+        index = np.minimum(np.searchsorted(self._pair, pairs), len(self._pair) - 1)
+        return np.where(self._pair[index] == pairs, self._missed[index], 0)
 
     def _strange(self, observation: Observation, met: Array) -> Array:
         """Return which vehicles (V,) bool hear anchors, but none that they know."""
@@ -165,7 +163,7 @@ class Absences:
 
     def _outdated(self, met: Array) -> Array:
         """Return how probable it is that what a vehicle knows of an anchor does not hold (V,)."""
-        vehicle = self._pair[self._missed >= _MISSING] >> _ID_BITS
+        vehicle, _ = split(self._pair[self._missed >= _MISSING])
         missing = np.bincount(vehicle, minlength=len(met))
         # One alone may be broken.
         return np.asarray(np.maximum(missing - 1, 0) / np.maximum(missing + met, 1))

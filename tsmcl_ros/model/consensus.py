@@ -219,7 +219,7 @@ def _contradicted(channel: Channel, observation: Observation, mean: Array, covar
                   limit: float) -> Array:
     """Return the rows (V, K) bool whose sender contradicts a place (V, D), NaN where none is."""
     found = deviations(channel, observation, mean, covariance)
-    against = found.said & ~found.silent & (found.deviation > limit)
+    against = found.contradicts(limit) & ~found.silent
     return np.asarray(
         (against[:, :, None] & (found.sender[:, :, None] == observation.sender[:, None])
          ).any(axis=1) & observation.heard)

@@ -39,6 +39,14 @@ class Deviations:
     disk: Array
     deviation: Array
 
+    def contradicts(self, limit: float) -> Array:
+        """Return what (V, R) bool is further off than so many standard deviations."""
+        return np.asarray(self.said & (self.deviation > limit))
+
+    def counts(self, limit: float) -> Array:
+        """Return what (V, R) bool says anything: a silence is no news unless it contradicts."""
+        return np.asarray(self.said & (~self.silent | self.contradicts(limit)))
+
 
 def deviations(channel: Channel, observation: Observation, mean: Array, covariance: Array
                ) -> Deviations:

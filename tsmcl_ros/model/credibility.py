@@ -145,8 +145,8 @@ class Credibility:
     def _supported(self, channel: Channel, observation: Observation, found: Deviations,
                    mean: Array, covariance: Array) -> Array:
         """Return who (V,) bool stays where it is, though half of what it hears is against it."""
-        against = found.said & (found.deviation > self.config.contradiction)
-        counts = against | (found.said & ~found.silent)
+        against = found.contradicts(self.config.contradiction)
+        counts = found.counts(self.config.contradiction)
         supported = (against.any(axis=1) & (self.monitor.lost < 0.5)
                      & (2 * against.sum(axis=1) >= counts.sum(axis=1)))
         asked = np.flatnonzero(supported)

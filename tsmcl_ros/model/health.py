@@ -102,9 +102,8 @@ class HealthMonitor:
             What contradicts the prediction, and what says anything.
 
         """
-        contradicts = deviations.said & (deviations.deviation > self.config.contradiction)
-        # The silence of an anchor is no news unless it was expected to be heard.
-        counts = deviations.said & ~(deviations.silent & ~contradicts)
+        contradicts = deviations.contradicts(self.config.contradiction)
+        counts = deviations.counts(self.config.contradiction)
         heeded = counts & ~(self.suspected(pairs_of(deviations.sender)) | usual)
         self._judge_vehicles(heeded.sum(axis=1), (contradicts & heeded).sum(axis=1))
         return contradicts, counts

@@ -1,4 +1,4 @@
-"""Even sampling: numbers that fill a box more evenly than random ones."""
+"""Sampling: numbers that fill a box more evenly than random ones, and subsets of rows."""
 
 from __future__ import annotations
 
