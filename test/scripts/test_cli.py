@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 from tsmcl_ros.bag import Reader
@@ -62,6 +63,31 @@ def test_signal_handlers_are_put_back():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     run_script(lambda arguments: None, [])
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_a_signal_that_comes_in_a_finalizer_stops_the_script(capsys):
+    class Finalized:
+        def __del__(self):
+            signal.raise_signal(signal.SIGTERM)
+
+    def script(arguments):
+        Finalized()
+        time.sleep(60)
+        return 3
+
+    assert run_script(script, []) == 0
+    assert capsys.readouterr().err == ''
+
+
+def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch):
+    class Finalized:
+        def __del__(self):
+            raise ZeroDivisionError
+
+    told = []
+    monkeypatch.setattr(sys, 'unraisablehook', lambda dropped: told.append(dropped.exc_type))
+    run_script(lambda arguments: Finalized() and None, [])
+    assert told == [ZeroDivisionError]
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

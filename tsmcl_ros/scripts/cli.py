@@ -15,6 +15,8 @@ from typing import Any
 from tqdm import tqdm
 from tsmcl_ros.types import Progress, T, TsmclError
 
+AGAIN = 0.01  # s until an interrupt is raised anew that Python has dropped
+
 
 class Interrupted(KeyboardInterrupt):
     """
@@ -103,7 +105,12 @@ def align(rows: Sequence[Sequence[str]], left: int = 1) -> str:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Have SIGINT and SIGTERM raise KeyboardInterrupt, once: what it cleans up is to be done."""
+    """
+    Have SIGINT and SIGTERM raise KeyboardInterrupt, once: what it cleans up is to be done.
+
+    Finalizers and the calls of weak references run in between of anything, and Python drops what
+    is raised in them; it is raised anew then.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -113,11 +120,23 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, signal.SIG_IGN)
         raise Interrupted
 
-    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    def raise_again(dropped: sys.UnraisableHookArgs) -> None:
+        if not isinstance(dropped.exc_value, Interrupted):
+            previous_hook(dropped)
+            return
+        signal.signal(signal.SIGALRM, interrupt)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+
+    previous_hook = sys.unraisablehook
+    previous = {number: signal.getsignal(number)
+                for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
     try:
-        for number in previous:
+        sys.unraisablehook = raise_again
+        for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, interrupt)
         yield
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in previous.items():
             signal.signal(number, handler)
+        sys.unraisablehook = previous_hook
