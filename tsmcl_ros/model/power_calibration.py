@@ -21,7 +21,7 @@ import numpy as np
 from tsmcl_ros.model.cloud import Cloud, CloudConfig
 from tsmcl_ros.model.evidence import Evidence, log_of_rate
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.particles import chunks, normalize
+from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.model.power_filters import Anchor, PowerFilters
 from tsmcl_ros.model.power_places import CANDIDATES, decades, draw_places
 from tsmcl_ros.types import Array, Estimate, Motion, Prior, Silence
@@ -181,23 +181,23 @@ class PowerCalibration:
         """
         if not self.follows:
             return
-        log_weights = self._place(position, rssi, used, loss)
+        log_likelihood = self._place(position, rssi, used, loss)
         used = used & self._cloud.placed[:, None]
-        log_weights += beside.log_likelihood(self._cloud.particles)
+        log_likelihood += beside.log_likelihood(self._cloud.particles)
         doubt = np.zeros(len(used))
         for row in np.flatnonzero(used.any(axis=0)).tolist():
             likely, trust = self._measure(
                 self._anchor(row, used, sender, position, loss), rssi[:, row],
                 sensitivity if silent is None else -math.inf)
-            log_weights += likely
+            log_likelihood += likely
             doubt += used[:, row] & (trust < 0.5)
         if silent is not None:
             missed, known = np.exp(log_of_rate(silent)), silent.known & self._cloud.placed[:, None]
             for row in np.flatnonzero(known.any(axis=0)).tolist():
-                log_weights += self._filters.miss(
+                log_likelihood += self._filters.miss(
                     self._anchor(row, known, silent.sender, silent.position, silent_loss),
                     sensitivity, missed[:, row], self._cloud.weights)
-        self._cloud.weights, _ = normalize(log_weights.astype(np.float32))
+        self._cloud.weigh(log_likelihood)
         count = used.sum(axis=1)
         self._taught |= count > 0
         self._doubts = np.where(2 * doubt > count, self._doubts + 1,
@@ -233,20 +233,20 @@ class PowerCalibration:
 
     def _place(self, position: Array, rssi: Array, used: Array, loss: tuple[Array, ...]
                ) -> Array:
-        """Draw the particles of vehicles without a belief, and return all log-weights (V, N)."""
+        """Draw the particles of vehicles without a belief; return (V, N) what makes up for how."""
         cloud = self._cloud
-        log_weights = np.log(np.maximum(cloud.weights, 1e-30))
+        made_up = np.zeros_like(cloud.weights)
         vehicle = np.flatnonzero(~cloud.placed & (used.sum(axis=1) >= _ENOUGH))
         off = *self.mean, 0
         for rows in chunks(len(vehicle), CANDIDATES * used.shape[1], _AT_ONCE):
             some = vehicle[rows]
-            places, log_weights[some] = draw_places(
+            places, made_up[some] = draw_places(
                 position[some], rssi[some], used[some],
                 tuple(part[some] + more for part, more in zip(loss, off, strict=True)),
                 self.covariance, self._anchor_variance, cloud.weights.shape[1], self._rng)
             cloud.put(some, places)
             self._doubts[some] = 0
-        return log_weights
+        return made_up
 
     def _look(self) -> None:
         """Tell where vehicles are, and what is off."""
