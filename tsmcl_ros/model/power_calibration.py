@@ -20,6 +20,7 @@ import math
 import numpy as np
 from tsmcl_ros.model.cloud import Cloud, CloudConfig
 from tsmcl_ros.model.evidence import Evidence, log_of_rate
+from tsmcl_ros.model.learnt import aged, LearntRssi
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.model.power_filters import Anchor, PowerFilters
@@ -63,13 +64,13 @@ class PowerCalibration:
 
     def __init__(self, std: tuple[float, float], anchor_std: float, anchor_time: float,
                  sigma_share: float, seed: int = 0):
-        self._prior = np.diag(np.square(std))
+        self._begin = np.zeros(2)
+        self._prior = self._configured = np.diag(np.square(std))
         self._anchor_variance, self._anchor_time = anchor_std ** 2, anchor_time
         # As known as from so many rssi: what n of them tell of sigma errs by 1 / sqrt(2 n).
-        self._samples = 1 / (2 * sigma_share ** 2)
-        self._squares = self._samples
+        self._samples = self._squares = self._supposed = 1 / (2 * sigma_share ** 2)
         self._rng = np.random.Generator(np.random.SFC64(seed))
-        self.mean, self.covariance = np.zeros(2), self._prior
+        self.mean, self.covariance = self._begin, self._prior
         self.follows = False
         self._filters = PowerFilters(0, 0, self.mean, self.covariance, self._anchor_variance)
 
@@ -87,6 +88,8 @@ class PowerCalibration:
             Share of rssi that may say anything.
 
         """
+        if self.learnt is not None:
+            self.resume(self.learnt)
         self.follows, self._floor = True, floor
         self._cloud = Cloud(_CLOUD, motion, vehicles, dimension, self._rng)
         self._filters = PowerFilters(
@@ -104,6 +107,20 @@ class PowerCalibration:
     def is_taught(self) -> bool:
         """Whether rssi has told anything yet."""
         return bool((self.covariance != self._prior).any())
+
+    @property
+    def learnt(self) -> LearntRssi | None:
+        """What another one can begin with, None if rssi has told nothing yet."""
+        if not self.is_taught:
+            return None
+        return LearntRssi(self.mean, self.covariance, self.sigma, self._samples)
+
+    def resume(self, learnt: LearntRssi) -> None:
+        """Begin, before vehicles are followed, with what another one has learnt."""
+        self._begin, self._prior = learnt.mean, aged(learnt.covariance, self._configured)
+        self.mean, self.covariance = self._begin, self._prior
+        self._samples = 1 / aged(1 / learnt.samples, 1 / self._supposed)
+        self._squares = learnt.sigma ** 2 * self._samples
 
     def predict(self, motion: Motion) -> None:
         """Move the vehicles, and let anchors forget what they were off."""
@@ -258,10 +275,13 @@ class PowerCalibration:
         if not taught.any():
             return
         mean, covariance = (part[taught] for part in self._known)
-        unit = np.sqrt(np.diag(self._prior))
-        values, axes = np.linalg.eigh(covariance[:, :2, :2] / np.outer(unit, unit))
+        # In units of the prior, of which all are sure alike.
+        unit = np.linalg.cholesky(self._prior)
+        white = np.linalg.inv(unit)
+        values, axes = np.linalg.eigh(white @ covariance[:, :2, :2] @ white.T)
         information = np.einsum('vij,vj,vkj->ik', axes, 1 / np.minimum(values, 1) - 1, axes)
         told = np.einsum('vij,vj,vkj,vk->i', axes, 1 / np.minimum(values, 1), axes,
-                         mean[:, :2] / unit)
+                         (mean[:, :2] - self._begin) @ white.T)
         joint = np.linalg.inv(np.eye(2) + information)
-        self.mean, self.covariance = unit * (joint @ told), np.outer(unit, unit) * joint
+        self.mean = self._begin + unit @ (joint @ told)
+        self.covariance = unit @ joint @ unit.T

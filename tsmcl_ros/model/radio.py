@@ -22,6 +22,7 @@ from tsmcl_ros.model.evidence import (
 )
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.model.kinematics import kinematics_of
+from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.links import fit_links
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.power_calibration import PowerCalibration
@@ -307,6 +308,18 @@ class Channel:
             found['P_0 [dBm]'] = f'{rest.reference:.2f} +- {reference:.2f}'
             found['path loss exponent'] = f'{rest.exponent:.3f} +- {exponent:.3f}'
         return found
+
+    @property
+    def learnt(self) -> Learnt:
+        """What another one can begin with."""
+        return Learnt(self.calibration.learnt, self.powers.learnt)
+
+    def resume(self, learnt: Learnt) -> None:
+        """Begin with what another one has learnt, as far as that is estimated here."""
+        if learnt.ranges is not None and self.calibrates:
+            self.calibration.resume(learnt.ranges)
+        if learnt.rssi is not None and self.calibrates_power:
+            self.powers.resume(learnt.rssi)
 
     def predict(self, motion: Motion) -> None:
         """Move the vehicles that are learnt from."""
