@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from tsmcl_ros.model.cloud import Cloud, CloudConfig, ParticleFilter
+from tsmcl_ros.model.cloud import Cloud, CloudConfig
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion, RandomMotion
 from tsmcl_ros.model.particles import spread
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
-from tsmcl_ros.types import ConfigError, Motion, Observation, Prior
+from tsmcl_ros.types import ConfigError, Observation, Prior
 
 # Statistical tests have fixed seeds and reject at one in a thousand.
 SIGNIFICANCE = 1e-3
@@ -157,6 +157,14 @@ def test_placing_leaves_alone_who_has_a_place() -> None:
     both.place(evidence(listen([(0.0, 0.0)], [(0.0, 0.0)])))
     np.testing.assert_array_equal(both.states[0], before)
     assert both.placed.all()
+
+
+def test_a_vehicle_may_be_put_where_somebody_else_has_drawn_it() -> None:
+    both = cloud(4, vehicles=2, heading=True)
+    both.put(np.array([1]), np.arange(8.0).reshape(1, 4, 2))
+    np.testing.assert_array_equal(both.particles[1], np.arange(8.0).reshape(4, 2))
+    np.testing.assert_array_equal(both.placed, [False, True])
+    assert len(np.unique(both.states[1, :, 2])) == 4
 
 
 def test_placing_draws_what_the_motion_model_remembers() -> None:
@@ -370,6 +378,14 @@ def test_what_the_motion_model_remembers_is_resampled_with_its_particle() -> Non
     np.testing.assert_array_equal(one.states[0], np.tile([6.0, 7.0, 8.0], (4, 1)))
 
 
+def test_it_says_what_the_resampled_are_copies_of() -> None:
+    both = weighted(0.5)
+    before = both.states.copy()
+    vehicle, index = both.resample()
+    np.testing.assert_array_equal(vehicle, [0])
+    np.testing.assert_array_equal(both.states[0], before[0, index[0]])
+
+
 # Starting anew
 
 
@@ -415,26 +431,7 @@ def test_who_is_placed_again_is_told_and_the_others_left_alone() -> None:
     assert np.linalg.norm(both.particles[0], axis=1).max() < 101.0
 
 
-# What filters share
-
-
-def test_a_filter_passes_priors_motion_and_forgetting_on_to_its_cloud() -> None:
-    class Blind(ParticleFilter):
-        """Updates nothing."""
-
-    channel = Channel(RadioConfig())
-    motion = OdometryMotion(MotionConfig(odom_heading='known', odom_std=0.0, alpha3=0.0))
-    blind = Blind(CloudConfig(), channel, motion, 1, 2, rng())
-    blind.start(prior(std=0.0))
-    blind.predict(Motion(1.0, np.array([[3.0, 4.0]]), np.zeros(1)))
-    np.testing.assert_array_equal(blind.particles, np.broadcast_to([3.0, 4.0], (1, 200, 2)))
-    blind.forget(0)
-    assert not blind.cloud.placed[0]
-
-
-def test_spread_is_the_root_mean_square_of_the_axes_standard_deviations() -> None:
-    points = rng().normal(0, [3.0, 4.0], (2, MANY, 2)).astype(np.float32)
-    np.testing.assert_allclose(spread(points), math.sqrt((9 + 16) / 2), rtol=0.02)
+# Weights of moved particles
 
 
 def test_moved_particles_are_favoured_where_the_prediction_was_dense() -> None:

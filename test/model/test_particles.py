@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -13,6 +15,7 @@ from tsmcl_ros.model.particles import (
     kernel_density,
     moments,
     normalize,
+    spread,
     systematic_resample,
     z_order,
 )
@@ -213,3 +216,8 @@ def test_few_points_drawn_in_that_order_come_nearer_to_the_mean_of_all(dimension
 
 def test_points_at_one_place_keep_their_order() -> None:
     np.testing.assert_array_equal(z_order(np.ones((1, 5, 2), np.float32)), [np.arange(5)])
+
+
+def test_spread_is_the_root_mean_square_of_the_axes_standard_deviations() -> None:
+    points = rng().normal(0, [3.0, 4.0], (2, 20_000, 2)).astype(np.float32)
+    np.testing.assert_allclose(spread(points), math.sqrt((9 + 16) / 2), rtol=0.02)

@@ -6,7 +6,7 @@ from tsmcl_ros.evaluation.metrics import nees_band
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionConfig, OdometryMotion
-from tsmcl_ros.model.power_calibration import _beyond, PowerCalibration
+from tsmcl_ros.model.power_calibration import PowerCalibration
 from tsmcl_ros.types import Motion, Observation, Prior, Silence
 from tsmcl_ros.world import make_world
 
@@ -94,18 +94,6 @@ def test_p_0_is_found_where_only_the_loud_are_heard():
     found = drive(calibration(2), 40, 2, off=(3.0, 0.0), least=-91.0)
     error = found.mean - (3.0, 0.0)
     assert error @ np.linalg.solve(found.covariance, error) < 9.2
-
-
-def test_moments_of_the_loud_are_those_of_a_truncated_normal():
-    excess = np.array([-2.0, 0.0, 1.5])
-    mean, variance = _beyond(excess)
-    for row, least in enumerate(-excess):
-        x = np.linspace(least, 12, 100_001)
-        density = np.exp(-0.5 * x ** 2)
-        density /= density.sum()
-        assert mean[row] == pytest.approx(density @ x, rel=1e-3)
-        assert variance[row] == pytest.approx(density @ x ** 2 - (density @ x) ** 2, rel=1e-3)
-    np.testing.assert_allclose(_beyond(np.array([np.inf])), [[0], [1]], atol=1e-12)
 
 
 def test_who_is_silent_tells_of_p_0():

@@ -18,9 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from tsmcl_ros.config import param
-from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.cloud import CloudConfig
 from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.particle_filter import ParticleFilter
 from tsmcl_ros.model.particles import spread
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, Estimate, Observation

@@ -21,7 +21,6 @@ from tsmcl_ros.model.particles import (
     spread,
     systematic_resample,
 )
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.types import Array, ConfigError, Estimate, Motion, Observation, Prior
 
 # Kernels that the density of a cloud is estimated by, and the most that a particle's weight grows
@@ -114,11 +113,10 @@ class Cloud:
         """Draw one vehicle's particles from a prior belief."""
         index = prior.vehicle
         self.states[index] = draw(prior, self.motion, self.config.min_particles, self.rng)
-        self._equalize(index)
-        self.placed[index] = True
+        self._begin(index)
 
-    def forget(self, vehicle: int) -> None:
-        """Place a vehicle anew at its next beacon."""
+    def forget(self, vehicle: Array | int) -> None:
+        """Place a vehicle, or some (V,) bool, anew at the next beacon."""
         self.placed[vehicle] = False
 
     def place(self, evidence: Evidence, repair: Repair | None = None) -> None:
@@ -201,8 +199,19 @@ class Cloud:
 
         """
         index = systematic_resample(weights, self.weights.shape[1], self.rng)
-        self._take(vehicle, candidates, index)
+        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
+            candidates, index[:, :, None], axis=1)
+        self._begin(vehicle)
+        self._drawn[vehicle] = True
         return index
+
+    def put(self, vehicle: Array, position: Array) -> None:
+        """Put the particles of vehicles (W,) int at positions (W, N, D) [m], all alike likely."""
+        count = position.shape[1]
+        self.states[vehicle, :, :self.dimension] = position
+        self.states[vehicle, :, self.dimension:] = self.motion.draw(
+            len(vehicle), count, self.rng)
+        self._begin(vehicle)
 
     def weigh(self, log_likelihood: Array) -> None:
         """Multiply the weights by the likelihood of the evidence (V, N)."""
@@ -267,7 +276,7 @@ class Cloud:
             log_likelihood=np.where(heard > 0, self._log_likelihood, np.nan),
             heard=heard, reinitialized=self._reinitialized)
 
-    def resample(self, broadly: Array | None = None) -> None:
+    def resample(self, broadly: Array | None = None) -> tuple[Array, Array]:
         """
         Resample the clouds whose effective sample size has fallen too low.
 
@@ -277,12 +286,17 @@ class Cloud:
             Vehicles that nothing but resampling spreads, where hard edges have cut their clouds:
             their copies part as far as is best for the density that they stand for.
 
+        Returns
+        -------
+        vehicle, index : (W,), (W, N) int
+            Whose were resampled, and what their particles are copies of.
+
         """
         count = self.weights.shape[1]
-        low = self.placed & (
-            effective_sample_size(self.weights) < self.config.resample_threshold * count)
-        if not low.any():
-            return
+        low = np.flatnonzero(self.placed & (
+            effective_sample_size(self.weights) < self.config.resample_threshold * count))
+        if not len(low):
+            return low, np.zeros((0, count), int)
         index = systematic_resample(self.weights[low], count, self.rng)
         states = np.take_along_axis(self.states[low], index[:, :, None], axis=1)
         position = states[:, :, :self.dimension]
@@ -294,6 +308,7 @@ class Cloud:
         position += (width * spread(position))[:, None, None] * noise
         self.states[low] = states
         self._equalize(low)
+        return low, index
 
     def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
@@ -320,31 +335,21 @@ class Cloud:
             weights, _ = normalize(likelihood.reshape(shape[:2]))
         points = flat.reshape(shape)
         index = even_resample(points, weights, few, self.rng)
-        self._take(vehicle, points, index)
-        self._part(vehicle, np.diff(index, axis=1, prepend=-1) == 0,
-                   spread(candidates) * many ** (-1 / self.dimension))
-        self.states[vehicle, :, self.dimension:] = self.motion.draw(len(vehicle), few, self.rng)
+        drawn = np.take_along_axis(points, index[:, :, None], axis=1)
+        # A candidate stands for all that is nearer to it than to others. Where hardly any fits,
+        # the cloud would else claim to be certain.
+        owner, row = np.nonzero(np.diff(index, axis=1, prepend=-1) == 0)
+        apart = spread(candidates) * many ** (-1 / self.dimension)
+        drawn[owner, row] += apart[owner, None] * self.rng.standard_normal(
+            (len(owner), self.dimension), np.float32)
+        self.put(vehicle, drawn)
+        self._drawn[vehicle] = True
         self._doubts[vehicle] = 0
 
-    def _take(self, vehicle: Array, candidates: Array, index: Array) -> None:
-        """Make those of some vehicles' candidates (W, P, D) that (W, N) indices say particles."""
-        self.states[vehicle, :, :self.dimension] = np.take_along_axis(
-            candidates, index[:, :, None], axis=1)
+    def _begin(self, vehicle: Array | int) -> None:
+        """Take some vehicles for placed, by particles of equal weights."""
         self._equalize(vehicle)
         self.placed[vehicle] = True
-        self._drawn[vehicle] = True
-
-    def _part(self, vehicle: Array, copy: Array, distance: Array) -> None:
-        """
-        Move the copies (W, N) bool among some vehicles' particles apart by so much (W,) [m].
-
-        A candidate stands for all that is nearer to it than to others. Where hardly any fits, the
-        cloud would else claim to be certain.
-        """
-        owner, row = np.nonzero(copy)
-        if len(owner):
-            noise = self.rng.standard_normal((len(owner), self.dimension), np.float32)
-            self.particles[vehicle[owner], row] += distance[owner, None] * noise
 
     def _equalize(self, vehicle: Array | int) -> None:
         """Give some vehicles' particles equal weights."""
@@ -362,47 +367,3 @@ class Cloud:
         variance = np.minimum(-2 * np.log(np.clip(np.hypot(cos, sin), 1e-9, 1)), math.pi ** 2)
         return (np.where(self.placed, np.arctan2(sin, cos), np.nan),
                 np.where(self.placed, variance, np.nan))
-
-
-class ParticleFilter:
-    """
-    What all methods with a cloud share: everything but how they update it.
-
-    Parameters
-    ----------
-    config : CloudConfig
-    channel : Channel
-        Scores positions against observations.
-    motion : MotionModel
-    vehicles, dimension : int
-        V and D.
-    rng : numpy.random.Generator
-
-    """
-
-    def __init__(self, config: CloudConfig, channel: Channel, motion: MotionModel,
-                 vehicles: int, dimension: int, rng: np.random.Generator):
-        self.channel = channel
-        self.rng = rng
-        self.cloud = Cloud(config, motion, vehicles, dimension, rng)
-
-    @property
-    def particles(self) -> Array:
-        """(V, N, D) float32: the positions [m]."""
-        return self.cloud.particles
-
-    def moments(self) -> tuple[Array, Array]:
-        """Return mean (V, D) [m] and covariance (V, D, D) [m^2], NaN where unplaced."""
-        return self.cloud.moments()
-
-    def start(self, prior: Prior) -> None:
-        """Replace one vehicle's belief by a prior."""
-        self.cloud.start(prior)
-
-    def forget(self, vehicle: int) -> None:
-        """Drop one vehicle's belief: it starts anew at its next beacon."""
-        self.cloud.forget(vehicle)
-
-    def predict(self, motion: Motion) -> None:
-        """Move the particles by the motion since the last epoch."""
-        self.cloud.predict(motion)

@@ -13,9 +13,10 @@ from typing import ClassVar
 
 import numpy as np
 from tsmcl_ros.config import param
-from tsmcl_ros.model.cloud import CloudConfig, ParticleFilter
+from tsmcl_ros.model.cloud import CloudConfig
 from tsmcl_ros.model.density import CloudDensity
 from tsmcl_ros.model.motion import MotionModel
+from tsmcl_ros.model.particle_filter import ParticleFilter
 from tsmcl_ros.model.particles import normalize, spread
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.ranging import without_ranges
