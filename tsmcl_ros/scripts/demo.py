@@ -25,7 +25,7 @@ from typing import Any
 
 from tsmcl_ros.bag import STORAGES
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes.process import session, Stopped
 from tsmcl_ros.nodes.watch import Watch
 from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, progress_bar, run_script
 from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
@@ -98,7 +98,7 @@ def _simulate(
         processes.start_node(name, nodes[name])
     try:
         with (
-            runtime.session(), closing(Watch(options.vehicles)) as watch,
+            session(), closing(Watch(options.vehicles)) as watch,
             progress_bar(
                 options.quiet, total=options.duration, leave=True, desc='starting',
                 bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
@@ -110,7 +110,7 @@ def _simulate(
             _await(processes, watch, lambda: not math.isnan(watch.time))
             _show(bar, watch, processes, options.vehicles)
             duration = watch.time
-    except runtime.Stopped:
+    except Stopped:
         raise KeyboardInterrupt from None
     for name in ('recorder', 'fleet', 'anchor'):
         processes.stop(name)
