@@ -11,9 +11,9 @@ from tsmcl_ros.localizer.settings import Settings
 from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.echo import guard
 from tsmcl_ros.model.health import LOST, OK, STALE
+from tsmcl_ros.model.learning_channel import LearningChannel
 from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.odometry import OdometryBuffer
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.resume import Bridges, Last, last_known, resumed
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import Speakers
@@ -39,7 +39,7 @@ class Core:
 
     Attributes
     ----------
-    channel : Channel
+    channel : LearningChannel
         Tells what measurements mean.
     odometry : OdometryBuffer
         Of all vehicles.
@@ -64,7 +64,7 @@ class Core:
         self._settings, self._vehicles = settings, vehicles
         self._anchors, self._speakers = anchors, speakers
         anchors.forget()
-        self.channel = Channel(settings.radio, settings.evidence, settings.localizer.seed)
+        self.channel = LearningChannel(settings.radio, settings.evidence, settings.localizer.seed)
         self.odometry = OdometryBuffer(vehicles)
         self.belief = Belief(settings, self.channel, vehicles)
         self.credibility = Credibility(

@@ -14,9 +14,9 @@ from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.schedule import Schedule
 from tsmcl_ros.localizer.settings import Settings
 from tsmcl_ros.model.echo import certain
+from tsmcl_ros.model.learning_channel import LearningChannel
 from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.period import PeriodConfig
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.resume import Last
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import Speakers
@@ -128,7 +128,7 @@ class Localizer:
         return self.schedule.refused()
 
     @property
-    def channel(self) -> Channel:
+    def channel(self) -> LearningChannel:
         """What tells what measurements mean."""
         return self._core.channel
 
