@@ -38,8 +38,8 @@ class OutputConfig(Config):
     marker_period: float = param(
         1.0, 'shortest time between two sets of markers, 0 for none', unit='s', low=0, live=True)
     resume_from: str = param(
-        '', 'file that the last poses are kept in, and taken from by a localizer that is started '
-        'again; none for no such file')
+        '', 'file that the last poses and what was learnt of ranges and rssi are kept in, and '
+        'taken from by a localizer that is started again; none for no such file')
     save_pose_rate: float = param(
         0.5, 'how often the last poses are written there at most', unit='Hz', above=0, live=True)
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from tsmcl_ros import messages
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import wire
 
 _STAMPED = 12  # bytes, up to the end of a message's stamp
 
@@ -26,10 +26,10 @@ def main(beacons: str, pose: str) -> None:
     rest = messages.encode_pose(0.0, 'map', np.ones(2), np.eye(2), 0.5, 0.1)[_STAMPED:]
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node('echo')
-    publisher = node.create_publisher(PoseWithCovarianceStamped, pose, runtime.LATCHED)
+    publisher = node.create_publisher(PoseWithCovarianceStamped, pose, wire.LATCHED)
     node.create_subscription(
         PointCloud2, beacons, lambda data: publisher.publish(data[:_STAMPED] + rest),
-        runtime.SENSOR_DATA, raw=True)
+        wire.SENSOR_DATA, raw=True)
     executor = EventsExecutor()
     executor.add_node(node)
     print('active', flush=True)

@@ -17,7 +17,8 @@ import time
 import numpy as np
 from tsmcl_ros import messages
 from tsmcl_ros.messages.stamps import split
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
+from tsmcl_ros.nodes.process import session
 from tsmcl_ros.types import Array, Observation
 
 PATIENCE = 60.0  # s
@@ -126,13 +127,13 @@ class Traffic(runtime.Node):
         super().__init__()
         self._sent: dict[tuple[int, bytes], tuple[int, float]] = {}
         self._latency = np.zeros(0)
-        self._map = self.talk('/anchor_map', messages.POINT_CLOUD, runtime.LATCHED)
+        self._map = self.talk('/anchor_map', messages.POINT_CLOUD, wire.LATCHED)
         self._beacons = [
-            self.talk(f'{name}/beacons', messages.POINT_CLOUD, runtime.SENSOR_DATA)
+            self.talk(f'{name}/beacons', messages.POINT_CLOUD, wire.SENSOR_DATA)
             for name in names]
         self._poses = [
             self.listen(f'{name}/pose', messages.POSE,
-                        lambda data, vehicle=vehicle: self._take(vehicle, data), runtime.LATCHED)
+                        lambda data, vehicle=vehicle: self._take(vehicle, data), wire.LATCHED)
             for vehicle, name in enumerate(names)]
 
     def settle(self, anchors: bytes) -> None:
@@ -191,7 +192,7 @@ def ros() -> Iterator[None]:
     conftest.pytest_configure()
     os.environ['PYTHONPATH'] = os.pathsep.join(sys.path)
     try:
-        with runtime.session():
+        with session():
             yield
     finally:
         conftest.pytest_unconfigure()

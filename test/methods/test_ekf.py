@@ -191,7 +191,7 @@ def test_a_vehicle_that_drives_out_of_a_disk_is_not_left_behind() -> None:
             starts + where - observation.position[0, 0], axis=1) < 510.0]
     # Driving from disk to disk has told how far along it is, and less of how far aside.
     spread = np.sqrt(np.diagonal(estimate.covariance[0]))
-    assert abs(estimate.mean[0, 0] - where[0]) < 2 * spread[0] < 200.0
+    assert abs(estimate.mean[0, 0] - where[0]) < 2 * spread[0] < 250.0
     assert spread[0] < spread[1]
     assert (spread > starts.std(axis=0)).all()
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from tsmcl_ros.methods.ts_mcl import score, TsMcl, TsMclConfig
+from tsmcl_ros.model.evidence import Evidence
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
@@ -251,13 +252,17 @@ def start(filter_: TsMcl, *at: float, std: float = 1.0) -> None:
         filter_.start(Prior(vehicle, np.array([x, 0.0]), std ** 2 * np.eye(2)))
 
 
+def repair(filter_: TsMcl, evidence: Evidence) -> np.ndarray:
+    return filter_.repair(evidence, evidence.log_likelihood(filter_.particles))
+
+
 def test_an_update_repairs_the_particles_that_explain_least() -> None:
     filter_ = ts_mcl(prior_bandwidth=0.0, aspiration=0.5)
     start(filter_, 100.0, std=20.0)
     before = filter_.particles.copy()
     evidence = filter_.channel.evidence(listen([(0.0, 0.0)]))
     good = np.linalg.norm(before[0], axis=1) < 100.0  # where the soft edge scores above a half
-    filter_.repair(evidence)
+    repair(filter_, evidence)
     np.testing.assert_array_equal(filter_.particles[0, good], before[0, good])
     assert (filter_.particles[0, ~good] != before[0, ~good]).any(axis=1).mean() > 0.9
     assert evidence.log_likelihood(filter_.particles).mean() > evidence.log_likelihood(
@@ -281,7 +286,7 @@ def test_a_repair_returns_the_log_likelihood_of_what_it_repaired() -> None:
     filter_ = ts_mcl(2)
     start(filter_, 100.0, 110.0, std=20.0)
     evidence = filter_.channel.evidence(listen([(0.0, 0.0)], [(10.0, 0.0), (50.0, 0.0)]))
-    returned = filter_.repair(evidence)
+    returned = repair(filter_, evidence)
     np.testing.assert_allclose(
         returned, evidence.log_likelihood(filter_.particles), rtol=1e-4, atol=1e-5)
 
@@ -300,7 +305,7 @@ def test_a_repair_steps_as_far_as_each_vehicle_s_cloud_is_wide() -> None:
                       np.random.default_rng(1))
     start(filter_, 150.0, std=5.0)
     filter_.start(Prior(1, np.array([150.0, 0.0]), np.diag([300.0, 500.0])))
-    filter_.repair(filter_.channel.evidence(listen([(0.0, 0.0)], [(0.0, 0.0)])))
+    repair(filter_, filter_.channel.evidence(listen([(0.0, 0.0)], [(0.0, 0.0)])))
     owner, scale = filter_.asked
     np.testing.assert_allclose(scale[owner == 0], 5.0, rtol=0.05)
     np.testing.assert_allclose(scale[owner == 1], 20.0, rtol=0.05)
@@ -310,7 +315,7 @@ def test_nobody_s_particles_move_for_what_another_hears() -> None:
     filter_ = ts_mcl(3)
     start(filter_, 110.0, 110.0)
     before = filter_.particles.copy()
-    filter_.repair(filter_.channel.evidence(listen([(0.0, 0.0)], [], [])))
+    repair(filter_, filter_.channel.evidence(listen([(0.0, 0.0)], [], [])))
     np.testing.assert_array_equal(filter_.particles[1:], before[1:])
     assert (filter_.particles[0] != before[0]).any()
 
@@ -347,6 +352,23 @@ def test_a_cloud_that_hardly_overlaps_what_is_heard_is_saved_by_the_search() -> 
         sizes[iterations] = np.median(filter_.update(listen(*[[(0.0, 0.0)]] * 20)).ess)
     assert sizes[0] < 3
     assert sizes[10] > 2 * sizes[0]
+
+
+def test_a_cloud_that_who_is_heard_excludes_is_drawn_anew_all_over_the_disk() -> None:
+    filter_ = ts_mcl()
+    start(filter_, 300.0, std=5.0)
+    estimate = filter_.update(listen([(0.0, 0.0)]))
+    assert estimate.reinitialized[0]
+    # The standard deviation of a disk is half its radius.
+    np.testing.assert_allclose(np.sqrt(np.diagonal(estimate.covariance[0])), 50.0, rtol=0.15)
+
+
+def test_a_cloud_that_a_range_excludes_is_searched_from_where_it_is() -> None:
+    filter_ = ts_mcl(neighbourhood_floor=5.0)
+    start(filter_, 80.0, std=1.0)
+    estimate = filter_.update(listen([(0.0, 0.0)], range=90.0, range_std=1.0))
+    assert not estimate.reinitialized[0]
+    np.testing.assert_allclose(estimate.mean[0], [90.0, 0.0], atol=5.0)
 
 
 def test_who_starts_anew_searches_from_every_candidate() -> None:

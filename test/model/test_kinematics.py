@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tsmcl_ros.model.kinematics import Cruising, kinematics_of
+from tsmcl_ros.model.kinematics import Cruising, kinematics_of, move
 from tsmcl_ros.model.motion import motion_model, MotionConfig
 from tsmcl_ros.types import Motion, Prior
 
@@ -17,13 +17,16 @@ def sample(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.random.default_rng(1).multivariate_normal(mean, covariance, MANY)
 
 
-@pytest.mark.parametrize('dimension', [2, 3])
-@pytest.mark.parametrize(('name', 'settings'), [
+MODELS = [
     ('random', {'max_speed': 7.0}),
     ('velocity', {'acceleration_std': 0.8}),
     ('velocity', {'acceleration_std': 0.8, 'speed_decay': 2.0}),
     ('odometry', {'odom_heading': 'known', 'odom_std': 0.3, 'alpha3': 0.2, 'alpha4': 0.1}),
-])
+]
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+@pytest.mark.parametrize(('name', 'settings'), MODELS)
 def test_a_belief_moves_as_its_particles_do(
         name: str, settings: dict[str, object], dimension: int) -> None:
     model = motion_model(MotionConfig(motion_model=name, **settings),  # type: ignore[arg-type]
@@ -38,6 +41,31 @@ def test_a_belief_moves_as_its_particles_do(
     std = np.sqrt(np.diagonal(spread[0]))
     np.testing.assert_allclose(after[0], moved.mean(axis=0), atol=0.03 * std.max())
     np.testing.assert_allclose(spread[0], np.cov(moved.T), atol=0.04 * std.max() ** 2)
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+@pytest.mark.parametrize(('name', 'settings'), MODELS)
+def test_the_way_of_a_belief_is_that_of_its_particles(
+        name: str, settings: dict[str, object], dimension: int) -> None:
+    model = motion_model(MotionConfig(motion_model=name, **settings),  # type: ignore[arg-type]
+                         dimension, True)
+    kinematics = kinematics_of(model, dimension)
+    size = dimension + kinematics.extra
+    # Positions that are known worse than velocities, and go with them.
+    mean, covariance = np.arange(size) * 1.0, np.eye(size) + 0.2
+    covariance[:dimension, :dimension] *= 9.0
+    motion = Motion(1.5, np.array([[3.0, -1.0, 0.5]])[:, :dimension], np.array([0.4]))
+    before = sample(mean, covariance).astype(np.float32)
+    way = (model.predict(before[None], motion, np.random.default_rng(2))[0] - before)[
+        :, :dimension]
+    after, spread, along, aside = move(
+        kinematics, dimension, mean[None], covariance[None], motion)
+    for moved, plain in zip((after, spread), kinematics.predict(
+            mean[None], covariance[None], motion), strict=True):
+        np.testing.assert_allclose(moved, plain)
+    std = np.sqrt(np.diagonal(aside[0]))
+    np.testing.assert_allclose(along[0], way.mean(axis=0), atol=0.03 * std.max())
+    np.testing.assert_allclose(aside[0], np.cov(way.T), atol=0.04 * std.max() ** 2)
 
 
 def test_a_heading_known_well_moves_a_belief_as_its_particles() -> None:

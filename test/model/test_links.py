@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tsmcl_ros.model.learning_channel import LearningChannel
 from tsmcl_ros.model.links import Fit, fit_links
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
@@ -98,7 +99,7 @@ def test_the_nearest_neighbours_count() -> None:
 def test_a_channel_learns_but_not_of_anchors_whose_path_loss_is_configured() -> None:
     taken = RadioConfig(radio_range=120.0, measure_rssi=True,
                         anchor_path_loss=('7 -30 2.0 3.0',))
-    channel = Channel(taken)
+    channel = LearningChannel(taken)
     channel.learn(links())
     loss = channel.path_loss(np.array([7, 3, 99]))
     assert loss.reference[0] == -30.0
@@ -108,7 +109,8 @@ def test_a_channel_learns_but_not_of_anchors_whose_path_loss_is_configured() -> 
 
 
 def test_a_channel_that_is_not_to_be_calibrated_is_not() -> None:
-    channel = Channel(RadioConfig(measure_rssi=True), EvidenceConfig(rssi_calibration='off'))
+    channel = LearningChannel(
+        RadioConfig(measure_rssi=True), EvidenceConfig(rssi_calibration='off'))
     channel.learn(links())
     assert channel.path_loss(np.array([3])).reference[0] == -40.0
 

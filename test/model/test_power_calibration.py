@@ -124,6 +124,41 @@ def test_a_fleet_knows_better_than_one_alone():
     assert np.linalg.det(together.covariance) < 0.2 * np.linalg.det(alone.covariance)
 
 
+def test_what_was_learnt_serves_another_one():
+    before, after = drive(calibration(), 40, off=(6.0, 0.5), noise=1.5), calibration()
+    assert after.learnt is None
+    after.resume(before.learnt)
+    np.testing.assert_array_equal(after.mean, before.mean)
+    assert after.sigma == pytest.approx(before.sigma)
+    for place in range(2):
+        known, begun, prior = (of[place, place] for of in (
+            before.covariance, after.covariance, np.diag(np.square(PRIOR))))
+        assert known < begun < 0.2 * prior
+    assert after.learnt is None
+
+
+def test_it_goes_on_from_what_was_learnt():
+    before, after = drive(calibration(), 40, off=(6.0, 0.5)), calibration(2)
+    after.resume(before.learnt)
+    after.follow(OdometryMotion(MotionConfig(odom_heading='known')), 2, 2, 0.02)
+    begun = after.covariance
+    drive(after, 10, 2, off=(6.0, 0.5))
+    error = after.mean - (6.0, 0.5)
+    assert error @ np.linalg.solve(after.covariance, error) < 9.2
+    assert np.linalg.det(after.covariance) < np.linalg.det(begun)
+
+
+def test_what_was_learnt_counts_once_for_all_who_are_followed_anew():
+    found = drive(calibration(6), 40, 6)
+    before = found.learnt
+    found.follow(OdometryMotion(MotionConfig(odom_heading='known')), 6, 2, 0.02)
+    np.testing.assert_array_equal(found.mean, before.mean)
+    begun = found.covariance
+    drive(found, 1, 6)
+    # One epoch more tells a little; what six knew before, counted six times, would tell much.
+    assert (np.diag(found.covariance) > 0.3 * np.diag(begun)).all()
+
+
 def test_an_anchor_of_another_power_is_found_out_and_forgotten():
     another = np.array([8.0, 0, 0, 0, 0, 0])
     found = drive(calibration(anchor_std=4.0, time=1000.0), 80, anchors=another)

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from scipy import special, stats
 from tsmcl_ros.model.evidence import Evidence
-from tsmcl_ros.model.motion import MotionConfig, RandomMotion
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import EvidenceConfig, RadioConfig
-from tsmcl_ros.types import ConfigError, Estimate, Motion, Observation, Silence
+from tsmcl_ros.types import ConfigError, Observation, Silence
 
 # Statistical tests have fixed seeds and reject at one in a thousand.
 SIGNIFICANCE = 1e-3
@@ -672,54 +671,7 @@ def test_references_that_bound_nothing_give_a_box_around_themselves() -> None:
     np.testing.assert_allclose(evidence.box[0], [[-100.0, -100.0], [200.0, 140.0]])
 
 
-# Calibration
-
-
-def estimated(mean: np.ndarray) -> Estimate:
-    vehicles = len(mean)
-    nothing = np.full(vehicles, math.nan)
-    return Estimate(
-        stamp=1.0, mean=mean, covariance=np.tile(0.01 * np.eye(2), (vehicles, 1, 1)),
-        rotation=nothing, rotation_variance=nothing, ess=nothing, particles=1,
-        log_likelihood=nothing, heard=np.ones(vehicles, int),
-        reinitialized=np.zeros(vehicles, bool))
-
-
-def ranged_epochs(radio: Channel) -> None:
-    """Let vehicles calibrate a radio by ranges that are 7 % long."""
-    draw, truth = rng(), rng().uniform(-30, 30, (4, 2))
-    corners = np.array([[-60, -60], [60, -60], [60, 60], [-60, 60]], float)
-    radio.follow(RandomMotion(MotionConfig(max_speed=4.0)), 4, 2)
-    for _ in range(100):
-        truth = truth + draw.uniform(-2, 2, truth.shape)
-        radio.calibration.predict(Motion(1.0))
-        observation = Observation.empty(4, 4, 2, 1.0)
-        observation.sender[:], observation.position[:] = range(4), corners
-        distance = np.linalg.norm(truth[:, None] - corners, axis=2)
-        observation.range[:] = 1.07 * distance + draw.normal(0, 0.5, (4, 4))
-        observation.range_std[:] = 0.5
-        radio.calibrate(observation, estimated(truth))
-
-
-def test_calibration_learns_the_scale_of_ranges() -> None:
-    radio = channel(range_calibration='online')
-    ranged_epochs(radio)
-    assert radio.calibration.scale == pytest.approx(1.07, abs=0.005)
-    score = likelihood(radio, listen(ORIGIN, range=53.5, range_std=0.5), at([50.0, 53.5]))
-    assert score[0] > -0.5
-    assert score[1] < -10.0
-
-
-def test_calibration_learns_nothing_from_asymmetric_errors() -> None:
-    radio = channel({'range_noise': 'asymmetric_exponential'}, range_calibration='online')
-    ranged_epochs(radio)
-    assert radio.calibration.scale == 1.0
-
-
-def test_calibration_that_is_off_learns_nothing() -> None:
-    radio = channel(range_calibration='off')
-    ranged_epochs(radio)
-    assert radio.calibration.scale == 1.0
+# Rssi of disks
 
 
 def test_a_disk_radio_that_measures_rssi_is_scored_by_it_beside_its_edge() -> None:

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 import rclpy
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 import yaml
 
 PATIENCE = 90.0  # s, for anything that healthy nodes do at once, on a machine under load
@@ -23,7 +24,7 @@ class Probe(runtime.Node):
     default_name = 'probe'
 
     def collect(
-        self, topic: str, kind: str, qos: runtime.QoSProfile = runtime.SENSOR_DATA,
+        self, topic: str, kind: str, qos: QoSProfile = wire.SENSOR_DATA,
     ) -> list[bytes]:
         """Return a list that fills with a topic's messages."""
         received: list[bytes] = []

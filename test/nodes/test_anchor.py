@@ -11,7 +11,8 @@ from tsmcl_ros import messages
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.nodes.anchor import Anchor
-from tsmcl_ros.nodes.runtime import LATCHED_INPUT, main, RELIABLE
+from tsmcl_ros.nodes.runtime import main
+from tsmcl_ros.nodes.wire import LATCHED_INPUT, RELIABLE
 from tsmcl_ros.world import hear_each_other, make_world
 
 Start = Callable[..., Any]

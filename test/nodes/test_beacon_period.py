@@ -13,8 +13,8 @@ from tsmcl_ros.config import Config, load_yaml, parameters
 from tsmcl_ros.localizer import CONFIGS
 from tsmcl_ros.model.period import AirCost
 from tsmcl_ros.nodes.anchor import Anchor
-from tsmcl_ros.nodes.runtime import LATCHED, LATCHED_INPUT
 from tsmcl_ros.nodes.simulator import Simulator
+from tsmcl_ros.nodes.wire import LATCHED, LATCHED_INPUT
 import yaml
 
 Start = Callable[..., Any]

@@ -10,7 +10,7 @@ import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
-from tsmcl_ros.nodes.runtime import LATCHED_INPUT, RELIABLE, SENSOR_DATA
+from tsmcl_ros.nodes.wire import LATCHED_INPUT, RELIABLE, SENSOR_DATA
 from tsmcl_ros.types import Observation
 
 CORNERS = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0], [100, 100, 0]], np.float32)

@@ -11,8 +11,8 @@ import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.model.relay import Poses
-from tsmcl_ros.nodes.runtime import LATCHED_INPUT
 from tsmcl_ros.nodes.simulator import Air
+from tsmcl_ros.nodes.wire import LATCHED_INPUT
 from tsmcl_ros.types import MessageError, VEHICLE
 from tsmcl_ros.world import anchor_table, Epoch, make_world
 

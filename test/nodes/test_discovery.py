@@ -12,7 +12,7 @@ from tsmcl_ros.bag import Reader
 from tsmcl_ros.config import load_yaml
 from tsmcl_ros.nodes import discovery
 from tsmcl_ros.nodes.localizer import LocalizerNode
-from tsmcl_ros.nodes.runtime import LATCHED_INPUT, SENSOR_DATA
+from tsmcl_ros.nodes.wire import LATCHED_INPUT, SENSOR_DATA
 from tsmcl_ros.scripts.localize_bag import localize_bag
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'tiers.yaml'

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 from tsmcl_ros import messages
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import wire
 
 EXAMPLES = Path(__file__).resolve().parents[2] / 'examples'
 
@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / 'examples'
 def test_the_radio_driver_leads_a_localizer_to_where_the_vehicle_stands(start, probe) -> None:
     localizer = start('nodes.localizer', '--ros-args', '-r', '__ns:=/veh_0', '-p',
                       'method:=ekf', '-p', 'radio_range:=50.0')
-    poses = probe.collect('/veh_0/pose', messages.POSE, runtime.LATCHED_INPUT)
+    poses = probe.collect('/veh_0/pose', messages.POSE, wire.LATCHED_INPUT)
     driver = subprocess.Popen([sys.executable, EXAMPLES / 'radio_driver.py'])
     try:
         # By the sixth the velocity, which may be anything at first, has settled.

@@ -21,14 +21,8 @@ from tsmcl_ros.methods import METHODS
 from tsmcl_ros.nodes import localizer
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
-from tsmcl_ros.nodes.runtime import (
-    LATCHED,
-    LATCHED_INPUT,
-    main,
-    Node,
-    RELIABLE,
-    SENSOR_DATA,
-)
+from tsmcl_ros.nodes.runtime import main, Node
+from tsmcl_ros.nodes.wire import LATCHED, LATCHED_INPUT, RELIABLE, SENSOR_DATA
 from tsmcl_ros.scripts import import_csv
 from tsmcl_ros.scripts.localize_bag import localize_bag
 from tsmcl_ros.types import Observation, Odometry

@@ -25,7 +25,8 @@ from tsmcl_ros.localizer import Localizer
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.managed import ManagedNode
-from tsmcl_ros.nodes.runtime import LATCHED, LATCHED_INPUT, main, RELIABLE, SENSOR_DATA
+from tsmcl_ros.nodes.runtime import main
+from tsmcl_ros.nodes.wire import LATCHED, LATCHED_INPUT, RELIABLE, SENSOR_DATA
 from tsmcl_ros.types import ConfigError, Observation
 from visualization_msgs.msg import MarkerArray
 import yaml

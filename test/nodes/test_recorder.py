@@ -17,14 +17,8 @@ from sensor_msgs.msg import CompressedImage
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader, STORAGES
 from tsmcl_ros.nodes.recorder import Recorder
-from tsmcl_ros.nodes.runtime import (
-    LATCHED,
-    main,
-    publish_all,
-    RELIABLE,
-    SENSOR_DATA,
-    SETTLING,
-)
+from tsmcl_ros.nodes.runtime import main, SETTLING
+from tsmcl_ros.nodes.wire import LATCHED, publish_all, RELIABLE, SENSOR_DATA
 from tsmcl_ros.types import BagError, MessageError, Odometry
 from tsmcl_ros.world import anchor_table
 from visualization_msgs.msg import Marker, MarkerArray

@@ -12,7 +12,8 @@ import pytest
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Writer
 from tsmcl_ros.nodes.replay import Replay
-from tsmcl_ros.nodes.runtime import LATCHED_INPUT, main, SENSOR_DATA
+from tsmcl_ros.nodes.runtime import main
+from tsmcl_ros.nodes.wire import LATCHED_INPUT, SENSOR_DATA
 from tsmcl_ros.types import Odometry
 from tsmcl_ros.world import anchor_table
 

@@ -47,17 +47,24 @@ def test_what_one_localizer_keeps_the_next_begins_with(tmp_path: Path) -> None:
     assert [item.name for item in tmp_path.iterdir()] == ['last.json']
 
 
+RANGING: dict[str, Any] = {'radio_range': 1500.0, 'range_std': 1.0}
+LONG = {**RANGING, 'measure_range': True, 'range_scale': 1.07}
+
+
+def hear(found: Localizer, epochs: int, first: int = 0, **radio: Any) -> None:
+    """Let two vehicles hear what the radio of a world is like, from an epoch on."""
+    world = make_world({'vehicles': 2, **radio}, np.random.default_rng(1))
+    found.anchor_map(world.anchors)
+    for number in range(first + epochs):
+        epoch = world.step()
+        if number >= first:
+            found.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+
+
 def wise(**settings: Any) -> Localizer:
     """Return one that has learnt that ranges are 7 % long."""
-    radio = {'radio_range': 1500.0, 'range_std': 1.0}
-    world = make_world(
-        {'vehicles': 2, 'measure_range': True, 'range_scale': 1.07, **radio},
-        np.random.default_rng(1))
-    found = Localizer({**radio, **settings}, 2)
-    found.anchor_map(world.anchors)
-    for _ in range(3):
-        epoch = world.step()
-        found.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    found = Localizer({**RANGING, **settings}, 2)
+    hear(found, 3, **LONG)
     return found
 
 
@@ -65,7 +72,7 @@ def begun(path: Path, **settings: Any) -> Localizer:
     """Return one that has begun with what was kept, and has heard nothing yet."""
     after = Localizer(settings, 2)
     assert memory(path, after, []).recall() == 2
-    after.epoch(Observation.empty(2, 1, 2, 4.0))
+    after.epoch(Observation.empty(2, 1, 2, 9.0))
     return after
 
 
@@ -97,6 +104,95 @@ def test_what_is_wrong_of_ranges_is_told(tmp_path: Path, change: tuple[str, str]
     path.write_text(path.read_text().replace(*change))
     assert memory(path, Localizer({}, 2), complaints).recall() == 0
     assert reason in complaints[0]
+
+
+RSSI: dict[str, Any] = {
+    'radio_model': 'lognormal', 'measure_rssi': True, 'sensitivity': -120.0, 'sigma_db': 4.0,
+    'path_loss_exponent': 2.5, 'odom_heading': 'known'}
+LEARNS = {**RSSI, 'rssi_at_reference': -46.0, 'rssi_calibration': 'online'}
+
+
+def wiser(**settings: Any) -> Localizer:
+    """Return one that has learnt that P_0 is 6 dB more than it says."""
+    found = Localizer({**LEARNS, **settings}, 2)
+    hear(found, 8, **RSSI)
+    return found
+
+
+def test_what_was_learnt_of_rssi_is_kept_too(tmp_path: Path) -> None:
+    path, before = tmp_path / 'last.json', wiser()
+    memory(path, before, []).save()
+    known, begun_with = before.channel.powers, begun(path, **LEARNS).channel.powers
+    np.testing.assert_array_equal(begun_with.mean, known.mean)
+    assert begun_with.sigma == pytest.approx(known.sigma)
+    assert (np.diag(begun_with.covariance) < np.array([6.0, 0.5]) ** 2).all()
+
+
+@pytest.mark.parametrize('settings', [
+    {'rssi_at_reference': -45.0}, {'reference_distance': 2.0}, {'path_loss_exponent': 2.4},
+    {'sigma_db': 3.0}, {'anchor_path_loss': ('7 -40 2 4',)}, {'rssi_calibration': 'off'}])
+def test_what_was_learnt_of_rssi_is_of_no_use_where_other_parameters_hold(
+        tmp_path: Path, settings: dict[str, Any]) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wiser(), []).save()
+    np.testing.assert_array_equal(
+        begun(path, **{**LEARNS, **settings}).channel.powers.mean, [0, 0])
+
+
+@pytest.mark.parametrize(('change', 'reason'), [
+    (('"sigma": ', '"sigma": -'), 'must be what rssi can tell'),
+    (('"samples"', '"none"'), "KeyError: 'samples'")])
+def test_what_is_wrong_of_rssi_is_told(tmp_path: Path, change: tuple[str, str], reason: str
+                                       ) -> None:
+    path, complaints = tmp_path / 'last.json', list[str]()
+    memory(path, wiser(), []).save()
+    path.write_text(path.read_text().replace(*change))
+    assert memory(path, Localizer(LEARNS, 2), complaints).recall() == 0
+    assert reason in complaints[0]
+
+
+def test_a_file_from_before_rssi_was_kept_is_read_still(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wiser(), []).save()
+    content = json.loads(path.read_text())
+    del content['rssi']
+    path.write_text(json.dumps(content))
+    np.testing.assert_array_equal(begun(path, **LEARNS).channel.powers.mean, [0, 0])
+
+
+@pytest.mark.parametrize(('name', 'settings'), [
+    ('ranges', {}), ('ranges', {'range_calibration': 'off'}), ('rssi', LEARNS),
+    ('rssi', {**LEARNS, 'rssi_calibration': 'off'})])
+def test_what_was_learnt_outlives_one_that_hears_nothing_of_it(
+        tmp_path: Path, name: str, settings: dict[str, Any]) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wise() if name == 'ranges' else wiser(), []).save()
+    first = json.loads(path.read_text())
+    between = begun(path, **settings)
+    path.unlink()
+    memory(path, between, []).save()
+    assert json.loads(path.read_text())[name] == first[name]
+
+
+def test_what_was_learnt_outlives_a_jump_of_time(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wise(), []).save()
+    found = begun(path)
+    found.reset()
+    found.epoch(Observation.empty(2, 1, 2, 4000.0))
+    assert found.channel.calibration.scale == pytest.approx(1.07, abs=1e-3)
+
+
+def test_what_is_learnt_anew_is_kept_in_place_of_what_was_known(tmp_path: Path) -> None:
+    path = tmp_path / 'last.json'
+    memory(path, wise(), []).save()
+    first = json.loads(path.read_text())['ranges']
+    found = begun(path, **RANGING)
+    hear(found, 10, first=10, **LONG)
+    memory(path, found, []).save()
+    again = json.loads(path.read_text())['ranges']
+    assert again['mean'] != first['mean']
+    assert again['mean'][0] == pytest.approx(1.07, abs=1e-3)
 
 
 def test_poses_are_kept_no_more_often_than_wanted(tmp_path: Path) -> None:

@@ -3,10 +3,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import os
-from pathlib import Path
 import signal
 from typing import Any
-from xml.etree import ElementTree
 
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -19,17 +17,11 @@ from tsmcl_ros.nodes.anchor import Anchor
 from tsmcl_ros.nodes.fleet import Fleet
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.recorder import Recorder
+from tsmcl_ros.nodes.rejections import Rejections
 from tsmcl_ros.nodes.replay import Replay
-from tsmcl_ros.nodes.runtime import (
-    main,
-    message_class,
-    Node,
-    Rejections,
-    RELIABLE,
-    SENSOR_DATA,
-    session,
-)
+from tsmcl_ros.nodes.runtime import main, Node
 from tsmcl_ros.nodes.simulator import Simulator
+from tsmcl_ros.nodes.wire import RELIABLE, SENSOR_DATA
 from tsmcl_ros.types import ConfigError, MessageError
 
 Ros = Callable[..., None]
@@ -88,23 +80,6 @@ def test_a_rejected_message_is_reported_and_the_next_one_is_heeded(probe: Any) -
     probe.expect(lambda: bool(heeded), 'the good message')
     assert heeded == [b'\0\1\0\0goodgood']
     assert reports == ['/talk: message rejected: is bad']
-
-
-def test_rejections_are_reported_once_in_five_seconds_a_topic_with_their_number() -> None:
-    reports: list[str] = []
-    time = [0.0]
-    rejections = Rejections(reports.append, lambda: time[0])
-    for topic in ('/a', '/a', '/b', '/a'):
-        rejections.add(topic, MessageError('odd'))
-    assert reports == ['/a: message rejected: odd', '/b: message rejected: odd']
-    time[0] = 4.9
-    rejections.report()
-    assert len(reports) == 2
-    time[0] = 5.0
-    rejections.report()
-    assert reports[2:] == ['/a: message rejected: odd (2 messages rejected since the last report)']
-    rejections.report(at_once=True)
-    assert len(reports) == 3
 
 
 def test_with_sim_time_each_multiple_of_a_period_is_met_once_with_its_exact_stamp(
@@ -221,40 +196,6 @@ def test_help_lists_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
     shown = capfd.readouterr().out
     assert 'Dives.' in shown
     assert 'depth: how deep [m]; a number at least 1 m (default: 3.0)' in shown
-
-
-@pytest.mark.parametrize('name', [
-    'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'])
-def test_what_a_user_tells_fast_dds_stands(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str,
-) -> None:
-    for each in ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'):
-        monkeypatch.delenv(each, raising=False)
-    monkeypatch.setenv(name, str(tmp_path / 'profiles.xml'))
-    with session():
-        assert [value for key, value in os.environ.items() if 'DEFAULT_PROFILES' in key] == [
-            str(tmp_path / 'profiles.xml')]
-
-
-def test_fast_dds_takes_no_memory_for_messages_that_have_not_come(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE', raising=False)
-    monkeypatch.delenv('FASTDDS_DEFAULT_PROFILES_FILE', raising=False)
-    with session():
-        told = ElementTree.parse(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'])
-    assert [found.text for found in told.iter() if found.tag.endswith('allocated_samples')] == [
-        '0', '0']
-
-
-def test_message_classes_are_found_by_the_name_of_their_type() -> None:
-    assert message_class('nav_msgs/msg/Odometry').__name__ == 'Odometry'
-
-
-@pytest.mark.parametrize('kind', ['nav_msgs/msg/Nothing', 'no_msgs/msg/Odometry', 'nonsense', ''])
-def test_a_message_type_that_is_not_installed_is_named(kind: str) -> None:
-    with pytest.raises(MessageError, match=f'message type {kind} is not installed'):
-        message_class(kind)
 
 
 @pytest.mark.parametrize('kind', [Anchor, Simulator, LocalizerNode, Fleet])

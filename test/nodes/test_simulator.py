@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from tsmcl_ros import messages
-from tsmcl_ros.nodes.runtime import LATCHED, main, SENSOR_DATA
+from tsmcl_ros.nodes.runtime import main
 from tsmcl_ros.nodes.simulator import Air, Simulator
+from tsmcl_ros.nodes.wire import LATCHED, SENSOR_DATA
 from tsmcl_ros.types import MessageError, Observation
 from tsmcl_ros.world import anchor_table, make_world
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from tsmcl_ros.endpoint import OutputConfig
-from tsmcl_ros.nodes.runtime import message_class, RELIABLE
 from tsmcl_ros.nodes.transforms import Broadcaster, map_to_odom
+from tsmcl_ros.nodes.wire import message_class, RELIABLE
 from tsmcl_ros.types import Estimate
 
 

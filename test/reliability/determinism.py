@@ -24,7 +24,8 @@ from tsmcl_ros import messages  # noqa: E402
 from tsmcl_ros.bag import Reader  # noqa: E402
 from tsmcl_ros.config import load_yaml  # noqa: E402
 from tsmcl_ros.methods import METHODS  # noqa: E402
-from tsmcl_ros.nodes import runtime  # noqa: E402
+from tsmcl_ros.nodes import runtime, wire  # noqa: E402
+from tsmcl_ros.nodes.process import session  # noqa: E402
 from tsmcl_ros.scripts.localize_bag import localize_bag  # noqa: E402
 
 BAG, CONFIG = ROOT / 'bags' / 'waypoint', ROOT / 'config' / 'range_free.yaml'
@@ -65,7 +66,7 @@ class Probe(runtime.Node):
         super().__init__()
         self.poses: dict[str, list[bytes]] = {topic: [] for topic in topics}
         for topic, received in self.poses.items():
-            self.listen(topic, messages.POSE, received.append, runtime.LATCHED_INPUT)
+            self.listen(topic, messages.POSE, received.append, wire.LATCHED_INPUT)
 
 
 def recorded(bag: Path) -> dict[str, list[bytes]]:
@@ -115,7 +116,7 @@ def measure() -> Section:
         localize_bag(str(BAG), str(out), load_yaml(CONFIG) | {'seed': 1})
         expected = recorded(out)
     total = sum(map(len, expected.values()))
-    with runtime.session():
+    with session():
         live = [replayed(rate, expected) for rate in RATES]
     table = [
         ['poses of', 'against', 'compared', 'differing'],

@@ -24,7 +24,8 @@ from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader
 from tsmcl_ros.endpoint import Endpoint
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
+from tsmcl_ros.nodes.process import session
 from tsmcl_ros.scripts.scenario import LOCALIZER
 from tsmcl_ros.types import Odometry
 from tsmcl_ros.world import make_world
@@ -144,7 +145,7 @@ class Clock(runtime.Node):
     def __init__(self) -> None:
         super().__init__()
         self.time = 0.0
-        self.listen('/clock', messages.CLOCK, self._take, runtime.SENSOR_DATA)
+        self.listen('/clock', messages.CLOCK, self._take, wire.SENSOR_DATA)
 
     def _take(self, data: bytes) -> None:
         self.time = messages.decode_clock(data)
@@ -182,7 +183,7 @@ def over_dds(seconds: int, folder: Path, vehicles: int = VEHICLES
 def _watch(seconds: int, processes: Sequence[subprocess.Popen[bytes]]) -> list[list[Sample]]:
     """Look at processes at equal times of the simulation."""
     samples: list[list[Sample]] = [[] for _ in processes]
-    with runtime.session(), closing(Clock()) as clock:
+    with session(), closing(Clock()) as clock:
         for number in range(SAMPLES):
             # Two more, so that all poses of the seconds that count have long been given.
             due = 2 + (number + 1) * seconds / SAMPLES

@@ -1,5 +1,6 @@
 """How scripts end."""
 
+import argparse
 import signal
 import subprocess
 import sys
@@ -7,14 +8,14 @@ import time
 
 import pytest
 from tsmcl_ros.bag import Reader
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import a_number, a_whole_number, run_script
 from tsmcl_ros.types import BagError, ConfigError
 
 RECORDING = """
 import sys, time
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Writer
-from tsmcl_ros.scripts.cli import run_script
+from tsmcl_ros.scripts.cli import a_number, a_whole_number, run_script
 
 def record(arguments):
     with Writer(arguments[0]) as bag:
@@ -26,6 +27,26 @@ def record(arguments):
 
 sys.exit(run_script(record, sys.argv[1:]))
 """
+
+
+def test_numbers_of_options_are_read():
+    assert a_number(0, unit='s')('0') == 0
+    assert a_number()('-2.5') == -2.5
+    assert a_whole_number(1, 1000)('1000') == 1000
+
+
+@pytest.mark.parametrize(('read', 'text', 'allowed'), [
+    (a_number(0, unit='s'), '-1', 'a number at least 0 s'),
+    (a_number(above=0), '0', 'a number above 0'),
+    (a_number(above=0), 'x', 'a number above 0'),
+    (a_number(unit='dBm'), 'inf', 'a number of dBm'),
+    (a_whole_number(1), '0', 'a whole number from 1'),
+    (a_whole_number(0), '-1', 'a whole number from 0'),
+    (a_whole_number(1, 1000), '1001', 'a whole number from 1 to 1000'),
+    (a_whole_number(0), '2.5', 'a whole number from 0')])
+def test_other_numbers_are_refused(read, text, allowed):
+    with pytest.raises(argparse.ArgumentTypeError, match=f'{text} is not allowed, .* {allowed}$'):
+        read(text)
 
 
 def test_a_script_that_ends_well_ends_with_0():

@@ -9,9 +9,9 @@ from tsmcl_ros.localizer.settings import Settings
 from tsmcl_ros.methods import METHODS
 from tsmcl_ros.model.cloud import RecoveryConfig
 from tsmcl_ros.model.echo import Hearsay
+from tsmcl_ros.model.learning_channel import LearningChannel
 from tsmcl_ros.model.motion import motion_model
 from tsmcl_ros.model.outage import OutagePredictor
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.settling import Settling
 from tsmcl_ros.types import Array, Estimate, Estimator, Motion, Observation, Prior
 
@@ -27,7 +27,7 @@ class Belief:
     ----------
     settings : Settings
         Read at every use, as they may change.
-    channel : Channel
+    channel : LearningChannel
         Tells what measurements mean.
     vehicles : int
         V.
@@ -45,7 +45,7 @@ class Belief:
 
     """
 
-    def __init__(self, settings: Settings, channel: Channel, vehicles: int):
+    def __init__(self, settings: Settings, channel: LearningChannel, vehicles: int):
         config = settings.localizer
         self._settings, self._channel, self._vehicles = settings, channel, vehicles
         self._rng = np.random.Generator(np.random.SFC64(config.seed))

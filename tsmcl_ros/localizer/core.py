@@ -8,12 +8,12 @@ import numpy as np
 from tsmcl_ros.localizer.belief import Belief
 from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.settings import Settings
-from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.credibility import Credibility
 from tsmcl_ros.model.echo import guard
 from tsmcl_ros.model.health import LOST, OK, STALE
+from tsmcl_ros.model.learning_channel import LearningChannel
+from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.odometry import OdometryBuffer
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.resume import Bridges, Last, last_known, resumed
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import Speakers
@@ -39,7 +39,7 @@ class Core:
 
     Attributes
     ----------
-    channel : Channel
+    channel : LearningChannel
         Tells what measurements mean.
     odometry : OdometryBuffer
         Of all vehicles.
@@ -51,8 +51,8 @@ class Core:
         Where vehicles are at the next epoch, as somebody says.
     lasts : list of Last
         Where another localizer left them, for the first epoch.
-    learnt : Learnt or None
-        What it has learnt of ranges, for the first epoch.
+    given : Learnt
+        What that one has learnt of the radio, for the first epoch.
     estimate : Estimate or None
         That of the last epoch.
 
@@ -64,7 +64,7 @@ class Core:
         self._settings, self._vehicles = settings, vehicles
         self._anchors, self._speakers = anchors, speakers
         anchors.forget()
-        self.channel = Channel(settings.radio, settings.evidence, settings.localizer.seed)
+        self.channel = LearningChannel(settings.radio, settings.evidence, settings.localizer.seed)
         self.odometry = OdometryBuffer(vehicles)
         self.belief = Belief(settings, self.channel, vehicles)
         self.credibility = Credibility(
@@ -72,7 +72,7 @@ class Core:
         self.credibility.claims.learn_map(anchors.mapped)
         self.priors: list[Prior] = []
         self.lasts: list[Last] = []
-        self.learnt: Learnt | None = None
+        self.given = Learnt()
         self.estimate: Estimate | None = None
         self._heard_at = np.full(vehicles, -np.inf)
         self._reinitializations = np.zeros(vehicles, int)
@@ -80,9 +80,9 @@ class Core:
         self._bridges = Bridges(settings.motion.max_speed, self.channel.radio_range)
 
     def anew(self) -> Core:
-        """Return what it was at its start, with what it has not begun with yet."""
+        """Return what it was at its start, where no vehicle has begun yet."""
         core = Core(self._settings, self._anchors, self._speakers, self._vehicles)
-        core.lasts, core.learnt = self.lasts, self.learnt
+        core.lasts, core.given = self.lasts, self.given
         return core
 
     @property
@@ -107,6 +107,11 @@ class Core:
         if self.estimate is None:
             return []
         return last_known(self.estimate, self._speed, self.status != LOST)
+
+    @property
+    def learnt(self) -> Learnt:
+        """What another localizer can begin with: of what is not learnt yet, what is given."""
+        return self.channel.learnt.beside(self.given)
 
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""
@@ -261,14 +266,12 @@ class Core:
     def _start(self, stamp: float) -> None:
         """Give every vehicle what it is to start from, ahead of what messages brought."""
         config = self._settings.localizer
+        self.channel.resume(self.given)
         priors = [resumed(last, stamp, self.odometry.at_epoch[last.vehicle],
                           self._settings.motion.max_speed, self.channel.radio_range)
                   for last in self.lasts]
         self.priors[:0] = [prior for prior in priors if prior is not None]
         self.lasts = []
-        if self.learnt is not None and self.channel.calibrates:
-            self.channel.calibration.resume(self.learnt)
-        self.learnt = None
         if not config.set_initial_pose:
             return
         place = [config.initial_pose_x, config.initial_pose_y, config.initial_pose_z]

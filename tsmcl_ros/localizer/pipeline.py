@@ -13,10 +13,10 @@ from tsmcl_ros.localizer.core import Core
 from tsmcl_ros.localizer.health import Health
 from tsmcl_ros.localizer.schedule import Schedule
 from tsmcl_ros.localizer.settings import Settings
-from tsmcl_ros.model.calibration import Learnt
 from tsmcl_ros.model.echo import certain
+from tsmcl_ros.model.learning_channel import LearningChannel
+from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.period import PeriodConfig
-from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.resume import Last
 from tsmcl_ros.model.silence import KnownAnchors
 from tsmcl_ros.model.speakers import Speakers
@@ -31,6 +31,8 @@ from tsmcl_ros.types import (
     Prior,
     UNTRUE,
 )
+
+_NOTHING = Learnt()
 
 
 class Localizer:
@@ -107,7 +109,7 @@ class Localizer:
         self._learn_links()
 
     def reset(self) -> None:
-        """Forget everything but the configuration, the anchor map, and the anchors' links."""
+        """Forget all but the configuration, the anchors' map and links, and what `resume` gave."""
         self.schedule.reset()
         self._core = self._core.anew()
         self._learn_links()
@@ -126,7 +128,7 @@ class Localizer:
         return self.schedule.refused()
 
     @property
-    def channel(self) -> Channel:
+    def channel(self) -> LearningChannel:
         """What tells what measurements mean."""
         return self._core.channel
 
@@ -239,13 +241,18 @@ class Localizer:
         """Replace one vehicle's belief at the next epoch; the yaw is the vehicle's in the map."""
         self._core.priors.append(prior)
 
-    def resume(self, lasts: Sequence[Last], learnt: Learnt | None = None) -> None:
+    def resume(self, lasts: Sequence[Last], learnt: Learnt = _NOTHING) -> None:
         """Begin, at the first epoch, where another localizer left its vehicles, and as wise."""
-        self._core.lasts, self._core.learnt = list(lasts), learnt
+        self._core.lasts, self._core.given = list(lasts), learnt
 
     def last_known(self) -> list[Last]:
         """Return what another localizer can begin with: those vehicles that are not lost."""
         return self._core.last_known()
+
+    @property
+    def learnt(self) -> Learnt:
+        """What another localizer can begin with of the radio."""
+        return self._core.learnt
 
     def reinitialize(self, vehicle: int) -> None:
         """Drop one vehicle's belief: it starts from anywhere at its next beacon."""

@@ -64,16 +64,29 @@ class TsMcl(ParticleFilter):
         """Repair and weigh the particles by what was heard."""
         evidence = self.channel.evidence(observation)
         self.cloud.place(evidence, self.search)
-        log_likelihood = self.repair(evidence)
+        log_likelihood = evidence.log_likelihood(self.cloud.particles)
+        # Who is merely heard is anywhere in a region, of which a search finds the nearest edge.
+        vague = ~self.channel.measured(observation).any(axis=1)
+        log_likelihood = self.cloud.redraw(
+            vague & self.cloud.hopeless(evidence, log_likelihood), evidence, log_likelihood,
+            self.search)
+        log_likelihood = self.repair(evidence, log_likelihood)
         log_likelihood = self.cloud.recover(evidence, log_likelihood, self.search)
         self.cloud.weigh(log_likelihood)
         estimate = self.cloud.estimate(observation)
         self.cloud.resample()
         return estimate
 
-    def repair(self, evidence: Evidence) -> Array:
+    def repair(self, evidence: Evidence, log_likelihood: Array) -> Array:
         """
         Replace the particles that explain the evidence badly by what a search finds.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What was heard.
+        log_likelihood : (V, N) float32
+            Of the particles under it, which is spoiled.
 
         Returns
         -------
@@ -82,7 +95,6 @@ class TsMcl(ParticleFilter):
 
         """
         particles = self.cloud.particles
-        log_likelihood = evidence.log_likelihood(particles)
         good = score(log_likelihood, evidence.terms[:, None]) > self.config.aspiration
         owner, index = np.nonzero(~good & self.cloud.placed[:, None])
         if not len(owner) or not self.config.max_iterations:

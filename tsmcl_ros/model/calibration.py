@@ -9,19 +9,16 @@ moved the vehicle; what then contradicts ranges all around, or odometry, is news
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from tsmcl_ros.model.belief import Beliefs, Sight
 from tsmcl_ros.model.joint_fix import joint_fix
 from tsmcl_ros.model.kinematics import Kinematics
+from tsmcl_ros.model.learnt import aged, LearntRanges
 from tsmcl_ros.model.settling import settled
 from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Share of its prior that a calibration forgets in an epoch, so that it never quite freezes.
 _FORGOTTEN = 1e-6
-# Share of its prior by which it may have changed while nobody was there.
-_AGED = 0.05
 # Epochs in a row of which most ranges are outliers to a belief, before it is begun anew.
 _PATIENCE = 5
 # Squared distance from an estimate, in standard deviations of both, at which it is begun anew.
@@ -34,21 +31,6 @@ _TOGETHER = 32
 # How sure [rad] of its heading a belief is, and how many times more so than a cloud, or how many
 # standard deviations of both away, to be put in the cloud's place.
 _SURE, _BETTER, _AGAINST = 0.1, 3.0, 4.0
-
-
-class Learnt(NamedTuple):
-    """
-    What is known of scale and offset.
-
-    Attributes
-    ----------
-    mean, covariance : (2,), (2, 2) float64
-        Of scale and offset [m].
-
-    """
-
-    mean: Array
-    covariance: Array
 
 
 class RangeCalibration:
@@ -77,7 +59,7 @@ class RangeCalibration:
 
     def __init__(self, scale: float, bias: float, std: tuple[float, float]):
         self._begin = np.array([scale, bias])
-        self._prior = np.diag(np.square(std))
+        self._prior = self._configured = np.diag(np.square(std))
         self.scale, self.bias, self.covariance = scale, bias, np.zeros((2, 2))
         self._beliefs: Beliefs | None = None
 
@@ -110,18 +92,18 @@ class RangeCalibration:
             self.resume(learnt)
 
     @property
-    def learnt(self) -> Learnt | None:
+    def learnt(self) -> LearntRanges | None:
         """What another one can begin with, None if ranges have told nothing yet."""
         if not self.is_taught:
             return None
-        return Learnt(np.array([self.scale, self.bias]), self.covariance)
+        return LearntRanges(np.array([self.scale, self.bias]), self.covariance)
 
-    def resume(self, learnt: Learnt) -> None:
+    def resume(self, learnt: LearntRanges) -> None:
         """Begin, as soon as vehicles are followed, with what another one has learnt."""
         beliefs = self._beliefs
         assert beliefs is not None
         self._begin = learnt.mean
-        self._prior = learnt.covariance + _AGED * (self._prior - learnt.covariance)
+        self._prior = aged(learnt.covariance, self._configured)
         self.scale, self.bias = map(float, self._begin)
         self.covariance = self._prior
         beliefs.mean[:, self._known] = self._begin

@@ -141,8 +141,13 @@ class Cloud:
         # One outlier is no news of the vehicle; a row of epochs that are nothing but outliers is.
         self._doubts = np.where(best < evidence.floor / 2, self._doubts + 1,
                                 np.where(evidence.heard, 0, self._doubts))
-        hopeless = best < -self.config.exclusion - 0.7 * evidence.terms
-        return np.asarray(self.placed & (hopeless | (self._doubts >= self.config.patience)))
+        return np.asarray(self.hopeless(evidence, log_likelihood) | (
+            self.placed & (self._doubts >= self.config.patience)))
+
+    def hopeless(self, evidence: Evidence, log_likelihood: Array) -> Array:
+        """Return the vehicles (V,) bool of which it excludes at once even the best particle."""
+        best = log_likelihood.max(axis=1)
+        return np.asarray(self.placed & (best < -self.config.exclusion - 0.7 * evidence.terms))
 
     def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None,
                 spared: Array | None = None) -> Array:
@@ -164,9 +169,14 @@ class Cloud:
         excluded = self.excluded(evidence, log_likelihood)
         if spared is not None:
             excluded &= ~spared
-        if not excluded.any():
+        return self.redraw(excluded, evidence, log_likelihood, repair)
+
+    def redraw(self, which: Array, evidence: Evidence, log_likelihood: Array,
+               repair: Repair | None = None) -> Array:
+        """Draw clouds (V,) bool anew; return the log-likelihood (V, N) of all particles."""
+        if not which.any():
             return log_likelihood
-        self.place_again(excluded, evidence, repair)
+        self.place_again(which, evidence, repair)
         return evidence.log_likelihood(self.particles)
 
     def fill(self, vehicle: Array, candidates: Array, weights: Array) -> Array:

@@ -19,7 +19,7 @@ from tsmcl_ros.model import gaussian
 from tsmcl_ros.model.belief import Beliefs
 from tsmcl_ros.model.bounds import bounds
 from tsmcl_ros.model.cloud import RecoveryConfig
-from tsmcl_ros.model.kinematics import kinematics_of
+from tsmcl_ros.model.kinematics import kinematics_of, move
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import effective_sample_size, moments, normalize
 from tsmcl_ros.model.radio import Channel
@@ -28,7 +28,8 @@ from tsmcl_ros.types import Array, Estimate, Motion, Observation, Prior
 
 # Points at which the evidence that places a vehicle is looked at.
 _POINTS = 2048
-_NEWS = 1.2
+# How much of a way is news that is known, and that may lead anywhere.
+_ALONG, _ASIDE = 0.9, 1.8
 _DRAWN = 512  # points of a belief that evidence without a measurement weighs
 
 
@@ -91,13 +92,10 @@ class GaussianFilter:
     def predict(self, motion: Motion) -> None:
         """Move the beliefs by the motion since the last epoch."""
         beliefs = self.beliefs
-        mean, covariance = self.moments()
-        beliefs.mean, beliefs.covariance = self.kinematics.predict(
-            beliefs.mean, beliefs.covariance, motion)
-        moved, wider = (now - then for now, then in zip(
-            self.moments(), (mean, covariance), strict=True))
-        self._moved += np.sqrt(np.square(moved).sum(axis=1) + np.maximum(
-            np.trace(wider, axis1=1, axis2=2), 0))
+        beliefs.mean, beliefs.covariance, way, spread = move(
+            self.kinematics, self.dimension, beliefs.mean, beliefs.covariance, motion)
+        self._moved += np.sqrt(_ALONG ** 2 * np.square(way).sum(axis=1) + _ASIDE ** 2 * np.maximum(
+            np.trace(spread, axis1=1, axis2=2), 0))
 
     def take_in(self, observation: Observation) -> Array:
         """
@@ -195,12 +193,13 @@ class GaussianFilter:
         Return how much of what vehicles (W,) int hear is news, (W, 1) from 0 to 1.
 
         A Gaussian forgets where it was cut, and must not be cut by the same edges again. So only
-        the way is news that the edges have moved on since, against the belief's mean width. The
-        factor is a compromise: with 1 beliefs are honest and slow, with 2 fast and too certain.
+        the way is news that it has gone past the edges since, against the belief's mean width. A
+        way that may lead anywhere passes edges on all sides. Of half of it beliefs are too
+        careful, of twice of it too certain.
         """
         size = self.dimension
         volume = np.linalg.det(self.beliefs.covariance[vehicle, :size, :size])
-        news = np.minimum(_NEWS * self._moved[vehicle] / volume ** (1 / (2 * size)), 1)
+        news = np.minimum(self._moved[vehicle] / volume ** (1 / (2 * size)), 1)
         self._moved[vehicle] = 0
         return np.asarray(news[:, None])
 

@@ -180,6 +180,23 @@ def kinematics_of(motion: MotionModel, dimension: int) -> Kinematics:
     return Wandering(motion, dimension)
 
 
+def move(kinematics: Kinematics, dimension: int, mean: Array, covariance: Array, motion: Motion
+         ) -> tuple[Array, Array, Array, Array]:
+    """
+    Return beliefs (V, n), (V, n, n) after a motion, and the way: mean (V, D), covariance [m^2].
+
+    A copy of the position that stays behind tells it, as all that comes after a state does.
+    """
+    size = mean.shape[1]
+    then = np.r_[:size, :dimension]
+    mean, covariance = kinematics.predict(
+        mean[:, then], covariance[:, then[:, None], then], motion)
+    way = np.zeros((dimension, size + dimension))
+    way[:, :dimension], way[:, size:] = np.eye(dimension), -np.eye(dimension)
+    return (mean[:, :size].copy(), covariance[:, :size, :size].copy(),
+            mean @ way.T, way @ covariance @ way.T)
+
+
 def _no_rotation(mean: Array) -> tuple[Array, Array]:
     unknown = np.full(len(mean), np.nan)
     return unknown, unknown

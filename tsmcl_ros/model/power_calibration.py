@@ -20,8 +20,9 @@ import math
 import numpy as np
 from tsmcl_ros.model.cloud import Cloud, CloudConfig
 from tsmcl_ros.model.evidence import Evidence, log_of_rate
+from tsmcl_ros.model.learnt import aged, LearntRssi
 from tsmcl_ros.model.motion import MotionModel
-from tsmcl_ros.model.particles import chunks, normalize
+from tsmcl_ros.model.particles import chunks
 from tsmcl_ros.model.power_filters import Anchor, PowerFilters
 from tsmcl_ros.model.power_places import CANDIDATES, decades, draw_places
 from tsmcl_ros.types import Array, Estimate, Motion, Prior, Silence
@@ -63,13 +64,13 @@ class PowerCalibration:
 
     def __init__(self, std: tuple[float, float], anchor_std: float, anchor_time: float,
                  sigma_share: float, seed: int = 0):
-        self._prior = np.diag(np.square(std))
+        self._begin = np.zeros(2)
+        self._prior = self._configured = np.diag(np.square(std))
         self._anchor_variance, self._anchor_time = anchor_std ** 2, anchor_time
         # As known as from so many rssi: what n of them tell of sigma errs by 1 / sqrt(2 n).
-        self._samples = 1 / (2 * sigma_share ** 2)
-        self._squares = self._samples
+        self._samples = self._squares = self._supposed = 1 / (2 * sigma_share ** 2)
         self._rng = np.random.Generator(np.random.SFC64(seed))
-        self.mean, self.covariance = np.zeros(2), self._prior
+        self.mean, self.covariance = self._begin, self._prior
         self.follows = False
         self._filters = PowerFilters(0, 0, self.mean, self.covariance, self._anchor_variance)
 
@@ -87,6 +88,8 @@ class PowerCalibration:
             Share of rssi that may say anything.
 
         """
+        if self.learnt is not None:
+            self.resume(self.learnt)
         self.follows, self._floor = True, floor
         self._cloud = Cloud(_CLOUD, motion, vehicles, dimension, self._rng)
         self._filters = PowerFilters(
@@ -104,6 +107,20 @@ class PowerCalibration:
     def is_taught(self) -> bool:
         """Whether rssi has told anything yet."""
         return bool((self.covariance != self._prior).any())
+
+    @property
+    def learnt(self) -> LearntRssi | None:
+        """What another one can begin with, None if rssi has told nothing yet."""
+        if not self.is_taught:
+            return None
+        return LearntRssi(self.mean, self.covariance, self.sigma, self._samples)
+
+    def resume(self, learnt: LearntRssi) -> None:
+        """Begin, before vehicles are followed, with what another one has learnt."""
+        self._begin, self._prior = learnt.mean, aged(learnt.covariance, self._configured)
+        self.mean, self.covariance = self._begin, self._prior
+        self._samples = 1 / aged(1 / learnt.samples, 1 / self._supposed)
+        self._squares = learnt.sigma ** 2 * self._samples
 
     def predict(self, motion: Motion) -> None:
         """Move the vehicles, and let anchors forget what they were off."""
@@ -181,23 +198,23 @@ class PowerCalibration:
         """
         if not self.follows:
             return
-        log_weights = self._place(position, rssi, used, loss)
+        log_likelihood = self._place(position, rssi, used, loss)
         used = used & self._cloud.placed[:, None]
-        log_weights += beside.log_likelihood(self._cloud.particles)
+        log_likelihood += beside.log_likelihood(self._cloud.particles)
         doubt = np.zeros(len(used))
         for row in np.flatnonzero(used.any(axis=0)).tolist():
             likely, trust = self._measure(
                 self._anchor(row, used, sender, position, loss), rssi[:, row],
                 sensitivity if silent is None else -math.inf)
-            log_weights += likely
+            log_likelihood += likely
             doubt += used[:, row] & (trust < 0.5)
         if silent is not None:
             missed, known = np.exp(log_of_rate(silent)), silent.known & self._cloud.placed[:, None]
             for row in np.flatnonzero(known.any(axis=0)).tolist():
-                log_weights += self._filters.miss(
+                log_likelihood += self._filters.miss(
                     self._anchor(row, known, silent.sender, silent.position, silent_loss),
                     sensitivity, missed[:, row], self._cloud.weights)
-        self._cloud.weights, _ = normalize(log_weights.astype(np.float32))
+        self._cloud.weigh(log_likelihood)
         count = used.sum(axis=1)
         self._taught |= count > 0
         self._doubts = np.where(2 * doubt > count, self._doubts + 1,
@@ -233,20 +250,20 @@ class PowerCalibration:
 
     def _place(self, position: Array, rssi: Array, used: Array, loss: tuple[Array, ...]
                ) -> Array:
-        """Draw the particles of vehicles without a belief, and return all log-weights (V, N)."""
+        """Draw the particles of vehicles without a belief; return (V, N) what makes up for how."""
         cloud = self._cloud
-        log_weights = np.log(np.maximum(cloud.weights, 1e-30))
+        made_up = np.zeros_like(cloud.weights)
         vehicle = np.flatnonzero(~cloud.placed & (used.sum(axis=1) >= _ENOUGH))
         off = *self.mean, 0
         for rows in chunks(len(vehicle), CANDIDATES * used.shape[1], _AT_ONCE):
             some = vehicle[rows]
-            places, log_weights[some] = draw_places(
+            places, made_up[some] = draw_places(
                 position[some], rssi[some], used[some],
                 tuple(part[some] + more for part, more in zip(loss, off, strict=True)),
                 self.covariance, self._anchor_variance, cloud.weights.shape[1], self._rng)
             cloud.put(some, places)
             self._doubts[some] = 0
-        return log_weights
+        return made_up
 
     def _look(self) -> None:
         """Tell where vehicles are, and what is off."""
@@ -258,10 +275,13 @@ class PowerCalibration:
         if not taught.any():
             return
         mean, covariance = (part[taught] for part in self._known)
-        unit = np.sqrt(np.diag(self._prior))
-        values, axes = np.linalg.eigh(covariance[:, :2, :2] / np.outer(unit, unit))
+        # In units of the prior, of which all are sure alike.
+        unit = np.linalg.cholesky(self._prior)
+        white = np.linalg.inv(unit)
+        values, axes = np.linalg.eigh(white @ covariance[:, :2, :2] @ white.T)
         information = np.einsum('vij,vj,vkj->ik', axes, 1 / np.minimum(values, 1) - 1, axes)
         told = np.einsum('vij,vj,vkj,vk->i', axes, 1 / np.minimum(values, 1), axes,
-                         mean[:, :2] / unit)
+                         (mean[:, :2] - self._begin) @ white.T)
         joint = np.linalg.inv(np.eye(2) + information)
-        self.mean, self.covariance = unit * (joint @ told), np.outer(unit, unit) * joint
+        self.mean = self._begin + unit @ (joint @ told)
+        self.covariance = unit @ joint @ unit.T

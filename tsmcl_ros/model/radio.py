@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -21,28 +20,13 @@ from tsmcl_ros.model.evidence import (
     ShadowedBoundary,
 )
 from tsmcl_ros.model.geometry import Reach
-from tsmcl_ros.model.kinematics import kinematics_of
-from tsmcl_ros.model.links import fit_links
-from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.power_calibration import PowerCalibration
 from tsmcl_ros.model.radio_config import EvidenceConfig, PathLoss, RadioConfig
-from tsmcl_ros.model.ranging import (
-    AsymmetricErrors,
-    draw_asymmetric,
-    GaussianErrors,
-    RangeErrors,
-    Ranging,
-)
+from tsmcl_ros.model.range_law import RangeLaw
 from tsmcl_ros.types import (
-    ANCHOR,
     Array,
     ConfigError,
-    Estimate,
-    Links,
-    Motion,
     Observation,
-    Prior,
-    Silence,
 )
 
 _ALL = EvidenceConfig()
@@ -83,6 +67,8 @@ class Channel:
     ----------
     calibration : RangeCalibration
         What `evidence` takes ranges to be; it starts from `radio`.
+    ranges : RangeLaw
+        What ranges mean by it.
     powers : PowerCalibration
         What it takes the path losses of `radio` to be off.
 
@@ -95,30 +81,12 @@ class Channel:
         self.calibration = RangeCalibration(
             radio.range_scale, radio.range_bias,
             (switches.range_scale_std, switches.range_bias_std))
+        self.ranges = RangeLaw(radio, self.calibration)
         self.powers = PowerCalibration(
             (switches.rssi_at_reference_std, switches.path_loss_exponent_std),
             switches.anchor_rssi_std, switches.anchor_rssi_time, switches.sigma_db_std, seed)
         self._identity, self._path_loss = PathLoss.table(radio)
         self._floor = switches.outlier_fraction
-
-    def learn(self, links: Links) -> None:
-        """Calibrate the path loss by how anchors hear each other, if that is switched on."""
-        switches = self.switches
-        self._identity, self._path_loss = own, configured = PathLoss.table(self.radio)
-        links = links.without(own)
-        if switches.rssi_calibration != 'links' or not len(links.rssi):
-            return
-        rest = configured.of(np.array(-1))
-        fit = fit_links(
-            links, float(rest.reference), float(rest.exponent), float(rest.sigma),
-            switches.path_loss_exponent_std, switches.link_neighbours)
-        order = np.append(np.argsort(np.append(own, fit.identity)), -1)
-        exponent = np.full(len(fit.sigma), fit.exponent)
-        fitted = PathLoss(*(
-            np.append(known[:-1], found)[order].astype(np.float32) for known, found in (
-                (configured.reference, fit.reference), (configured.exponent, exponent),
-                (configured.sigma, fit.sigma))))
-        self._identity, self._path_loss = np.sort(np.append(own, fit.identity)), fitted
 
     @property
     def radio_range(self) -> float:
@@ -173,9 +141,9 @@ class Channel:
             mask = rssi >= radio.sensitivity
         measured, std = unmeasured, unmeasured
         if radio.measure_range:
-            ranges = self._measure(distance, rng)
+            ranges = self.ranges.measure(distance, rng)
             measured = np.where(mask, ranges, np.nan).astype(np.float32)
-            std = np.where(mask, self._std_of(ranges), np.nan).astype(np.float32)
+            std = np.where(mask, self.ranges.std_of(ranges), np.nan).astype(np.float32)
         if radio.measure_rssi:
             rssi = np.where(mask, rssi, np.nan).astype(np.float32)
         else:
@@ -205,7 +173,7 @@ class Channel:
         if ranged.any() or powered.any():
             references = References.lay_out(observation.position, observation.covariance)
         if ranged.any():
-            factors.append(self._ranging(references, observation, ranged))
+            factors.append(self.ranges.factor(references, observation, ranged, self._floor))
             terms += ranged.sum(axis=1)
         if powered.any():
             loss = self.path_loss(observation.sender)
@@ -239,12 +207,8 @@ class Channel:
         """
         used = observation.heard & ~np.isnan(observation.range) & self.switches.use_range
         ranges = np.where(used, observation.range, 0)
-        distance = (ranges - self.calibration.bias) / self.calibration.scale
-        if self._asymmetric:
-            short, long = self._asymmetry(self._indicated(ranges))
-            distance = distance + short - long
-        std = np.where(used, self._range_std(observation), 1)
-        return distance, np.maximum(std, 1e-3) / self.calibration.scale, used
+        std = np.where(used, self.ranges.std(observation), 1)
+        return self.ranges.distance(ranges), np.maximum(std, 1e-3) / self.calibration.scale, used
 
     def disks(self, observation: Observation) -> tuple[Array, Array]:
         """
@@ -263,15 +227,11 @@ class Channel:
         Return what the ranges of an observation resolve, and which rows (V, K) bool have one.
 
         The first value (V, K) [m] is the standard deviation of the normal errors that would tell
-        as much: those of the asymmetric law have the Fisher information 1 / (short long), more
-        than 1 / their variance, as they are mostly small.
+        as much: see `RangeLaw.resolution`.
         """
         _, std, used = self.distances(observation)
-        if self._asymmetric:
-            short, long = self._asymmetry(
-                self._indicated(np.where(used, observation.range, 0)))
-            std = np.where(used, np.sqrt(short * long), std)
-        return std, used
+        resolved = self.ranges.resolution(np.where(used, observation.range, 0), std)
+        return np.where(used, resolved, std), used
 
     def powered(self, observation: Observation) -> Array:
         """Return the rows (V, K) bool whose rssi counts."""
@@ -284,159 +244,9 @@ class Channel:
         return self.distances(observation)[2] | self.powered(observation)
 
     @property
-    def calibrates(self) -> bool:
-        """Whether ranges teach what they are like."""
-        # The mean of asymmetric errors grows with range, as a wrong scale would make it do.
-        return self.switches.range_calibration == 'online' and not self._asymmetric
-
-    @property
     def calibrates_power(self) -> bool:
         """Whether rssi teaches what path losses are like."""
         return self.switches.rssi_calibration == 'online'
-
-    def calibrated(self, untaught: bool = True) -> dict[str, str]:
-        """Return what is estimated of the radio, +- one standard deviation; or only if taught."""
-        found = {}
-        if self.calibrates and (untaught or self.calibration.is_taught):
-            scale, bias = np.sqrt(np.diag(self.calibration.covariance)).tolist()
-            found['range scale'] = f'{self.calibration.scale:.4f} +- {scale:.4f}'
-            found['range bias [m]'] = f'{self.calibration.bias:.3f} +- {bias:.3f}'
-        if self.calibrates_power and (untaught or self.powers.is_taught):
-            rest = self.path_loss(np.array(-1))
-            reference, exponent = np.sqrt(np.diag(self.powers.covariance)).tolist()
-            found['P_0 [dBm]'] = f'{rest.reference:.2f} +- {reference:.2f}'
-            found['path loss exponent'] = f'{rest.exponent:.3f} +- {exponent:.3f}'
-        return found
-
-    def predict(self, motion: Motion) -> None:
-        """Move the vehicles that are learnt from."""
-        self.calibration.predict(motion)
-        if self.calibrates_power:
-            self.powers.predict(motion)
-
-    def follow(self, motion: MotionModel, vehicles: int, dimension: int) -> None:
-        """Learn from V vehicles that move by this model in D dimensions."""
-        self._vehicles = vehicles
-        self._follow_powers = partial(
-            self.powers.follow, motion, vehicles, dimension, self._floor)
-        if self.powers.follows:
-            self._follow_powers()
-        self.calibration.follow(
-            kinematics_of(motion, dimension), vehicles, dimension, self._floor)
-
-    def locate(self, observation: Observation) -> None:
-        """Learn ahead of an epoch what its ranges to anchors are like: see `RangeCalibration`."""
-        used = observation.heard & ~np.isnan(observation.range) & (observation.kind == ANCHOR)
-        if self.calibrates and used.any():
-            self.calibration.locate(observation, self._range_std(observation), used)
-
-    def calibrate(self, observation: Observation, estimate: Estimate) -> list[Prior]:
-        """
-        Learn from an epoch what ranges and rssi are like, as far as that is switched on.
-
-        Vehicles that take most of their ranges for outliers are lost, and teach nothing.
-
-        Returns
-        -------
-        list of Prior
-            What is known better by the way: see `RangeCalibration.opinions`.
-
-        """
-        if self.calibrates_power and (
-                self.powers.follows or not np.isnan(observation.rssi).all()):
-            self._calibrate_power(observation, estimate)
-        if not self.calibrates or np.isnan(observation.range).all():
-            return []
-        ranged = observation.heard & ~np.isnan(observation.range)
-        if self._floor > 0:
-            lost = estimate.log_likelihood < math.log(self._floor) / 2 * ranged.sum(axis=1)
-            ranged &= ~lost[:, None]
-        self.calibration.learn(
-            observation, estimate, self._range_std(observation), ranged,
-            observation.kind == ANCHOR)
-        return self.calibration.opinions(estimate)
-
-    def corrected(self, observation: Observation) -> Observation:
-        """Return an observation with rssi freed of what single anchors are off."""
-        if not self.calibrates_power or np.isnan(observation.rssi).all():
-            return observation
-        return replace(
-            observation, rssi=observation.rssi - self.powers.of(observation.sender))
-
-    def start(self, prior: Prior) -> None:
-        """Learn from a vehicle from a prior belief on."""
-        self.powers.start(prior)
-
-    def forget(self, vehicle: int) -> None:
-        """Take a vehicle for anywhere."""
-        self.powers.forget(np.arange(self._vehicles) == vehicle)
-
-    def placed(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with those vehicles that are placed together with what rssi are."""
-        return self.powers.placed(estimate) if self.calibrates_power else estimate
-
-    def _calibrate_power(self, observation: Observation, estimate: Estimate) -> None:
-        loss = self._supposed(observation.sender)
-        used = self.powered(observation) & (observation.kind == ANCHOR) & (observation.hops == 1)
-        silence = self.radio.radio_model == 'lognormal' and self.switches.silence != 'none'
-        if not self.powers.follows:
-            self._follow_powers()
-        self.powers.forget(estimate.reinitialized)
-        self.powers.learn(
-            observation.sender, observation.position,
-            observation.rssi + self.powers.of(observation.sender),
-            used,
-            (loss.reference, loss.exponent, loss.sigma),
-            self.radio.sensitivity if silence else -math.inf,
-            self.evidence(observation).without(Power, ShadowedBoundary),
-            *(self._silent(observation) if silence else ()))
-
-    def _silent(self, observation: Observation) -> tuple[Silence | None, tuple[Array, ...]]:
-        """Return who was silent to vehicles that heard somebody, and what was to be expected."""
-        silent = observation.silent
-        if silent is None:
-            return None, ()
-        heard = observation.heard.any(axis=1, keepdims=True)
-        loss = self._supposed(silent.sender)
-        return (replace(silent, known=silent.known & heard),
-                (loss.reference, loss.exponent, loss.sigma))
-
-    def _measure(self, distance: Array, rng: np.random.Generator) -> Array:
-        """Return what ranges say (V, A) [m] at these distances, never below 0."""
-        radio = self.radio
-        if self._asymmetric:
-            short, long = self._asymmetry(distance)
-            indicated = distance - draw_asymmetric(short, long, distance.shape, rng)
-            return np.maximum(radio.range_scale * indicated + radio.range_bias, 0)
-        noise = radio.range_std * rng.standard_normal(distance.shape)
-        return np.maximum(radio.range_scale * distance + radio.range_bias + noise, 0)
-
-    @property
-    def _asymmetric(self) -> bool:
-        return self.radio.range_noise == 'asymmetric_exponential'
-
-    def _asymmetry(self, distance: Array) -> tuple[Array, Array]:
-        """Return by how much ranges of this distance [m] are too short and too long [m]."""
-        radio = self.radio
-        return (radio.range_short_slope * distance + radio.range_short_offset,
-                radio.range_long_slope * distance + radio.range_long_offset)
-
-    def _indicated(self, ranges: Array) -> Array:
-        """Return the distances [m] that measured ranges stand for, never below 0."""
-        return np.maximum((ranges - self.calibration.bias) / self.calibration.scale, 0)
-
-    def _std_of(self, ranges: Array) -> Array | float:
-        """Return the standard deviation [m] of ranges, where they do not tell theirs."""
-        if not self._asymmetric:
-            return self.radio.range_std
-        return self.calibration.scale * np.hypot(*self._asymmetry(self._indicated(ranges)))
-
-    def _range_std(self, observation: Observation) -> Array:
-        """Return the standard deviation (V, K) [m] of each range's noise."""
-        ranges, told = observation.range, observation.range_std
-        if self._asymmetric:
-            return np.asarray(self._std_of(ranges))
-        return np.where(np.isnan(told), np.float32(self.radio.range_std), told)
 
     def path_loss(self, sender: Array) -> PathLoss:
         """Return each sender's path loss, in the shape of the senders' ids."""
@@ -464,21 +274,6 @@ class Channel:
         if self.radio.radio_model == 'lognormal':
             return self.path_loss(sender).distance(self.radio.sensitivity)
         return np.where(np.isnan(max_range), np.float32(self.radio.radio_range), max_range)
-
-    def _ranging(self, references: References, observation: Observation, ranged: Array
-                 ) -> Ranging:
-        ranges = np.where(ranged, observation.range, 0)
-        errors: RangeErrors
-        if self._asymmetric:
-            indicated = self._indicated(ranges)
-            errors = AsymmetricErrors.of(*(column(np.where(ranged, scale, np.inf))
-                                           for scale in self._asymmetry(indicated)))
-        else:
-            # Not cut at 0: a normal error reaches below.
-            indicated = (ranges - self.calibration.bias) / self.calibration.scale
-            std = np.maximum(self._range_std(observation), 1e-3) / self.calibration.scale
-            errors = GaussianErrors.of(column(np.where(ranged, std, np.inf)))
-        return Ranging(references, column(indicated), errors, column(ranged) > 0, self._floor)
 
     def _boundary(self, observation: Observation, bounded: Array, radius: Array, heard: Array
                   ) -> DiskBoundary | ShadowedBoundary | None:
@@ -521,9 +316,7 @@ class Channel:
         if radio.radio_model == 'lognormal':
             edge = radius * 10 ** (3 / loss.slope)
         presence = np.where(bounded, edge * observation.hops, np.inf)
-        std = self._range_std(observation)
-        furthest = (observation.range - self.calibration.bias + 3 * std) / self.calibration.scale
-        measured = np.where(ranged, np.maximum(furthest, std), np.inf)
+        measured = np.where(ranged, self.ranges.furthest(observation), np.inf)
         by_power = loss.distance(observation.rssi - 3 * loss.sigma)
         measured = np.where(powered, np.minimum(measured, by_power), measured)
         spread = 3 * np.sqrt(np.diagonal(observation.covariance, axis1=2, axis2=3))

@@ -12,7 +12,7 @@ from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.csv_log import read_anchors
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import RadioConfig
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.nodes.security import SecurityConfig
 from tsmcl_ros.types import Links, Observation
 from tsmcl_ros.world import anchor_table, AnchorConfig, hear_each_other, lay_out
@@ -50,11 +50,11 @@ class Anchor(runtime.Node):
         links = _links(self._config, build(RadioConfig, self.settings), anchors)
         self._beacons = _one_each(anchors)
         # In this order: who has received the map has found the beacons too.
-        self._air = self.talk('/beacons', messages.POINT_CLOUD, runtime.SENSOR_DATA)
-        self._map = self.talk('/anchor_map', messages.POINT_CLOUD, runtime.LATCHED)
+        self._air = self.talk('/beacons', messages.POINT_CLOUD, wire.SENSOR_DATA)
+        self._map = self.talk('/anchor_map', messages.POINT_CLOUD, wire.LATCHED)
         self._map.publish(messages.encode_beacons(anchors, self._config.global_frame_id)[0])
         if links is not None:
-            self._links = self.talk('/anchor_links', messages.POINT_CLOUD, runtime.LATCHED)
+            self._links = self.talk('/anchor_links', messages.POINT_CLOUD, wire.LATCHED)
             self._links.publish(
                 messages.encode_links(anchors.stamp, links, self._config.global_frame_id))
         self.every(self._config.beacon_period, self.transmit)
@@ -63,7 +63,7 @@ class Anchor(runtime.Node):
     def transmit(self, stamp: float) -> None:
         """Broadcast one beacon an anchor."""
         beacons = replace(self._beacons, stamp=stamp)
-        runtime.publish_all(
+        wire.publish_all(
             (self._air, data)
             for data in messages.encode_beacons(beacons, self._config.global_frame_id)
         )

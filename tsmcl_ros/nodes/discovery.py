@@ -6,7 +6,7 @@ from collections.abc import Callable
 import time
 
 from tsmcl_ros.inputs import RangeInput, unplaced_note
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.types import MessageError
 
 PERIOD = 0.2  # s, real time, between two looks for new topics
@@ -58,6 +58,6 @@ class Discovery:
     def _listen(self, topic: str, kind: str, handler: Callable[[bytes], None]) -> None:
         try:
             self._node.listen(
-                topic, kind, lambda data: self._heed(handler, data), runtime.SENSOR_DATA)
+                topic, kind, lambda data: self._heed(handler, data), wire.SENSOR_DATA)
         except MessageError as error:
             self._node.get_logger().warning(f'{topic} is not listened to: {error}')

@@ -22,7 +22,7 @@ from tsmcl_ros.localizer import CONFIGS, Localizer, LONGEST_LEAP
 from tsmcl_ros.model.health import LOST, STALE
 from tsmcl_ros.model.speakers import ignored_note
 from tsmcl_ros.model.tally import untrue_note
-from tsmcl_ros.nodes import discovery, runtime, views
+from tsmcl_ros.nodes import discovery, runtime, views, wire
 from tsmcl_ros.nodes.managed import LifecycleConfig, ManagedNode
 from tsmcl_ros.nodes.parameters import live, select
 from tsmcl_ros.nodes.resume import Memory
@@ -32,11 +32,11 @@ from tsmcl_ros.types import Estimate, MessageError, Observation
 from visualization_msgs.msg import MarkerArray
 
 _QOS = {
-    'anchor_map': runtime.LATCHED_INPUT,
-    'anchor_links': runtime.LATCHED_INPUT,
-    'beacons': runtime.SENSOR_DATA,
-    'odom': runtime.SENSOR_DATA,
-    'initialpose': runtime.RELIABLE,
+    'anchor_map': wire.LATCHED_INPUT,
+    'anchor_links': wire.LATCHED_INPUT,
+    'beacons': wire.SENSOR_DATA,
+    'odom': wire.SENSOR_DATA,
+    'initialpose': wire.RELIABLE,
 }
 
 _LOOKING_PERIOD = 0.25  # s, between two looks whether messages have ceased
@@ -115,19 +115,19 @@ class LocalizerNode(ManagedNode):
     def _offer(self) -> None:
         """Create publishers, services, and the timer of the diagnostics."""
         outputs = self._endpoint.outputs
-        self._poses = [self.talk(topic, messages.POSE, runtime.LATCHED) for topic in outputs]
-        self._periods = [self.talk(topic, messages.UINT32, runtime.LATCHED)
+        self._poses = [self.talk(topic, messages.POSE, wire.LATCHED) for topic in outputs]
+        self._periods = [self.talk(topic, messages.UINT32, wire.LATCHED)
                          for topic in self._endpoint.period_outputs]
         self._clouds: list[Publisher] = []
         self._offer_clouds()
         self._cloud_rest = Rest()
         # Made for who looks at them only; who comes later gets the last ones then.
         self._markers = self.create_lifecycle_publisher(
-            MarkerArray, 'markers', runtime.LATCHED,
+            MarkerArray, 'markers', wire.LATCHED,
             event_callbacks=PublisherEventCallbacks(matched=self._show))
         self._marker_rest = Rest()
         self._diagnosis_rest = Rest()
-        self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, runtime.RELIABLE)
+        self._diagnostics = self.talk('/diagnostics', messages.DIAGNOSTICS, wire.RELIABLE)
         # By the wall clock: it also tells when nothing comes any more, be it the time.
         self.create_timer(
             _LOOKING_PERIOD, self._diagnose_anyway,
@@ -142,7 +142,7 @@ class LocalizerNode(ManagedNode):
         if self._output.cloud_period and not self._clouds:
             self._clouds = [
                 self.talk(f'{topic.removesuffix("pose")}particle_cloud', messages.POSE_ARRAY,
-                          runtime.SENSOR_DATA)
+                          wire.SENSOR_DATA)
                 for topic in self._endpoint.outputs]
 
     def _subscribe(self) -> None:
@@ -209,7 +209,7 @@ class LocalizerNode(ManagedNode):
             f'{begin}{before.stamp:.3f} s to {after.stamp:.3f} s: started anew')
 
     def _publish_poses(self, estimate: Estimate) -> None:
-        runtime.publish_all(
+        wire.publish_all(
             (self._poses[vehicle], data) for vehicle, data in self._endpoint.poses(estimate))
         for vehicle, data in self._endpoint.periods(estimate):
             self._periods[vehicle].publish(data)

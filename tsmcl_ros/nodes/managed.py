@@ -16,7 +16,7 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from tsmcl_ros.config import Config, param
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.types import TsmclError
 
 _SUCCESS, _FAILURE, _ERROR = (
@@ -86,7 +86,7 @@ class ManagedNode(LifecycleNodeMixin, runtime.Node):  # type: ignore[misc]
 
     def talk(self, topic: str, kind: str, qos: QoSProfile) -> Publisher:
         """Return a publisher of serialized messages, which is silent unless the node is active."""
-        publisher = self.create_lifecycle_publisher(runtime.message_class(kind), topic, qos)
+        publisher = self.create_lifecycle_publisher(wire.message_class(kind), topic, qos)
         if self.state == 'active':
             publisher.on_activate(None)
         return publisher

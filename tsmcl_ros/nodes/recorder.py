@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.config import build, Config, dump_yaml, param
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.repair import repair
 from tsmcl_ros.scripts.cli import command_line, run_script
 from tsmcl_ros.types import BagError, ConfigError, MessageError
@@ -57,8 +57,8 @@ class Recorder(runtime.Node):
         self._config = build(RecorderConfig, self.settings)
         if not self._config.output:
             raise ConfigError("output: '' is not allowed, must be the folder of a new bag")
-        self._is_named = runtime.topic_filter('topics', self._config.topics)
-        self._is_excluded = runtime.topic_filter('exclude', self._config.exclude)
+        self._is_named = wire.topic_filter('topics', self._config.topics)
+        self._is_excluded = wire.topic_filter('exclude', self._config.exclude)
         self._seen: set[str] = set()
         # Came before the first /clock said what time it is.
         self._early: list[tuple[str, bytes]] = []
@@ -116,7 +116,7 @@ class Recorder(runtime.Node):
         # Only now, as it takes long, while messages come already.
         for topic, (kind, qos, subscription) in new.items():
             try:
-                self._bag.topic(topic, kind, latched=qos is runtime.LATCHED_INPUT)
+                self._bag.topic(topic, kind, latched=qos is wire.LATCHED_INPUT)
                 self._counts[topic] = 0
             except BagError as error:
                 self.destroy_subscription(subscription)
@@ -133,10 +133,10 @@ class Recorder(runtime.Node):
         if not offers:
             return None
         if any(offer.reliability != ReliabilityPolicy.RELIABLE for offer in offers):
-            return runtime.SENSOR_DATA
+            return wire.SENSOR_DATA
         if any(offer.durability != DurabilityPolicy.TRANSIENT_LOCAL for offer in offers):
-            return runtime.RELIABLE
-        return runtime.LATCHED_INPUT
+            return wire.RELIABLE
+        return wire.LATCHED_INPUT
 
     def _subscribe(self, topic: str, kinds: list[str], qos: QoSProfile) -> Subscription:
         if len(kinds) > 1:

@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from tsmcl_ros import messages
 from tsmcl_ros.bag import Reader
 from tsmcl_ros.config import build, Config, param
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.types import BagError, ConfigError, MessageError
 
 _CLOCK_PERIOD = 0.01  # s of real time, between two messages of /clock
@@ -67,7 +67,7 @@ class Replay(runtime.Node):
         if not self._played:
             found = ', '.join(sorted(self._bag.topics))
             raise BagError(f'{self._bag.path}: has no topic to play, has {found}')
-        self._clock_out = self.talk('/clock', messages.CLOCK, runtime.RELIABLE)
+        self._clock_out = self.talk('/clock', messages.CLOCK, wire.RELIABLE)
         self._position = self._shown = self._begin
         self.get_logger().info(
             f'{len(self._played)} topics, {self._bag.duration - self._config.start:.1f} s')
@@ -89,8 +89,8 @@ class Replay(runtime.Node):
 
     def _selected(self) -> list[str]:
         """Return the topics that the user wants to be played."""
-        is_named = runtime.topic_filter('topics', self._config.topics or ('.*',))
-        is_excluded = runtime.topic_filter('exclude', self._config.exclude)
+        is_named = wire.topic_filter('topics', self._config.topics or ('.*',))
+        is_excluded = wire.topic_filter('exclude', self._config.exclude)
         return sorted(
             topic for topic in self._bag.topics
             if topic != '/clock' and is_named(topic)
@@ -103,7 +103,7 @@ class Replay(runtime.Node):
         failed: dict[str, list[str]] = {}
         for topic in self._selected():
             # One that all kinds of subscriptions match.
-            qos = runtime.LATCHED_INPUT if topic in self._bag.latched else runtime.RELIABLE
+            qos = wire.LATCHED_INPUT if topic in self._bag.latched else wire.RELIABLE
             try:
                 found[topic] = self.talk(topic, self._bag.topics[topic], qos)
             except MessageError as error:
@@ -115,7 +115,7 @@ class Replay(runtime.Node):
 
     def _wait_for_subscriptions(self) -> None:
         """Wait for those that are asked for, or for any; begin without them after a while."""
-        is_awaited = runtime.topic_filter('wait_for', self._config.wait_for or ('.*',))
+        is_awaited = wire.topic_filter('wait_for', self._config.wait_for or ('.*',))
         awaited = [topic for topic in self._played if is_awaited(topic)]
         enough = all if self._config.wait_for else any
 
@@ -136,7 +136,7 @@ class Replay(runtime.Node):
         self._show(self._begin)
         self._latch()
         pace = runtime.Pace(self)
-        runtime.publish_all(self._messages(pace))
+        wire.publish_all(self._messages(pace))
         self._advance(self._position + _AFTERWARDS + 2 * self._clock_step(), pace)
 
     def _messages(self, pace: runtime.Pace) -> Iterator[tuple[Publisher, bytes]]:
@@ -162,7 +162,7 @@ class Replay(runtime.Node):
 
     def _wait_until_received(self, publishers: dict[str, Publisher]) -> None:
         for topic, publisher in publishers.items():
-            if not self.spin(partial(runtime.is_received, publisher), self._config.wait):
+            if not self.spin(partial(wire.is_received, publisher), self._config.wait):
                 self.get_logger().warning(f'{topic} is not received by all who listen')
 
     def _advance(self, stamp: float, pace: runtime.Pace) -> None:

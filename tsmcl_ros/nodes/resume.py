@@ -1,7 +1,8 @@
 """
 The file that a localizer's last poses are kept in, for the one that is started after it.
 
-With them goes what it has learnt of ranges, as long as the parameters that it began from stay.
+With them goes what it has learnt of ranges and rssi, as long as the parameters that it began from
+stay.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ import json
 import math
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from tsmcl_ros.endpoint import OutputConfig
 from tsmcl_ros.localizer import Localizer
-from tsmcl_ros.model.calibration import Learnt
+from tsmcl_ros.model.learnt import Learnt, LearntRanges, LearntRssi
 from tsmcl_ros.model.resume import Last
 from tsmcl_ros.types import Array
 
 _LARGEST = 2**26  # bytes
+
+Told = TypeVar('Told', LearntRanges, LearntRssi)
 
 
 class Memory:
@@ -100,31 +103,36 @@ class Memory:
         return f' but kept as {kept.name}'
 
     def _learnt(self) -> dict[str, Any]:
-        """Return what is to be kept of ranges, if they have told anything."""
-        learnt = self._localizer.channel.calibration.learnt
-        if learnt is None:
-            return {}
-        return {'ranges': {'configured': self._configured, 'mean': learnt.mean.tolist(),
-                           'covariance': learnt.covariance.tolist()}}
+        """Return what is to be kept of ranges and rssi, as far as they have told anything."""
+        return {
+            name: {'configured': self._configured(name), **{
+                field: np.asarray(value).tolist() for field, value in told._asdict().items()}}
+            for name, told in self._localizer.learnt._asdict().items() if told is not None}
 
-    @property
-    def _configured(self) -> list[float]:
-        """What is configured of ranges: what was learnt from other values is of no use."""
+    def _configured(self, name: str) -> list[float | str]:
+        """Return what is configured: what was learnt from other values is of no use."""
         radio = self._localizer.channel.radio
-        return [radio.range_scale, radio.range_bias]
+        if name == 'ranges':
+            return [radio.range_scale, radio.range_bias]
+        return [radio.rssi_at_reference, radio.reference_distance, radio.path_loss_exponent,
+                radio.sigma_db, *radio.anchor_path_loss]
 
-    def _parse(self, data: bytes) -> tuple[list[Last], Learnt | None]:
+    def _told(self, content: dict[str, Any], name: str, read: Callable[[Any], Told]
+              ) -> Told | None:
+        """Return what is kept of ranges or rssi, None where it is not or is of no use."""
+        told = content.get(name)
+        if told is None or told['configured'] != self._configured(name):
+            return None
+        return read(told)
+
+    def _parse(self, data: bytes) -> tuple[list[Last], Learnt]:
         content = json.loads(data)
         if content['frame_id'] != self._output.global_frame_id:
             raise ValueError(f'frame_id {content["frame_id"]!r} is not allowed, must be '
                              f'{self._output.global_frame_id!r}')
         dimension = self._localizer.config.dimension
-        learnt, ranges = None, content.get('ranges')
-        if ranges is not None and ranges['configured'] == self._configured:
-            learnt = Learnt(_array(ranges['mean'], 'mean', (2,)),
-                            _covariance(ranges['covariance'], 2))
-            if learnt.mean[0] <= 0:
-                raise ValueError(f'ranges {ranges} are not allowed, must have a scale above 0')
+        learnt = Learnt(self._told(content, 'ranges', _ranges),
+                        self._told(content, 'rssi', _rssi))
         return [
             Last(self._names.index(name), float(pose['stamp']),
                  _array(pose['mean'], 'mean', (dimension,)),
@@ -145,4 +153,21 @@ def _covariance(value: Any, dimension: int) -> Array:
     found = _array(value, 'covariance', (dimension, dimension))
     if not np.allclose(found, found.T) or np.linalg.eigvalsh(found)[0] < -1e-9 * found.trace():
         raise ValueError(f'covariance {value} is not allowed, must be positive semidefinite')
+    return found
+
+
+def _ranges(value: dict[str, Any]) -> LearntRanges:
+    found = LearntRanges(
+        _array(value['mean'], 'mean', (2,)), _covariance(value['covariance'], 2))
+    if not found.is_sound:
+        raise ValueError(f'ranges {value} are not allowed, must have a scale above 0')
+    return found
+
+
+def _rssi(value: dict[str, Any]) -> LearntRssi:
+    found = LearntRssi(
+        _array(value['mean'], 'mean', (2,)), _covariance(value['covariance'], 2),
+        float(value['sigma']), float(value['samples']))
+    if not found.is_sound:
+        raise ValueError(f'rssi {value} are not allowed, must be what rssi can tell')
     return found

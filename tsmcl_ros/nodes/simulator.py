@@ -16,7 +16,7 @@ from tsmcl_ros.config import build, Config, param
 from tsmcl_ros.model.radio import Channel
 from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.relay import Poses, RelayConfig
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 from tsmcl_ros.nodes.reports import Reports
 from tsmcl_ros.types import Array, MessageError, Observation, Odometry
 from tsmcl_ros.world import anchor_table, CONFIGS, Epoch, make_mobility, World, WorldConfig
@@ -93,18 +93,18 @@ class Simulator(runtime.Node):
         self._reports = Reports(world.vehicles, self._config.global_frame_id)
         # Discovery keeps this order, and anchors keep the same: who has sent us its map will be
         # heard from its first beacon on.
-        self.listen('/beacons', messages.POINT_CLOUD, self._air.beacon, runtime.SENSOR_DATA)
-        self.listen('/anchor_map', messages.POINT_CLOUD, self._air.map, runtime.LATCHED_INPUT)
+        self.listen('/beacons', messages.POINT_CLOUD, self._air.beacon, wire.SENSOR_DATA)
+        self.listen('/anchor_map', messages.POINT_CLOUD, self._air.map, wire.LATCHED_INPUT)
         for i in range(world.vehicles):
             self.listen(f'/veh_{i}/beacon_period', messages.UINT32, partial(self._ask, i),
-                        runtime.LATCHED_INPUT)
-        self._clock_out = self.talk('/clock', messages.CLOCK, runtime.RELIABLE)
+                        wire.LATCHED_INPUT)
+        self._clock_out = self.talk('/clock', messages.CLOCK, wire.RELIABLE)
         # Odometry comes last: who sees that topic sees the others.
         self._ground_truth, self._beacons, self._odom = zip(*(
             (
-                self.talk(f'/veh_{i}/ground_truth', messages.ODOMETRY, runtime.SENSOR_DATA),
-                self.talk(f'/veh_{i}/beacons', messages.POINT_CLOUD, runtime.SENSOR_DATA),
-                self.talk(f'/veh_{i}/odom', messages.ODOMETRY, runtime.SENSOR_DATA),
+                self.talk(f'/veh_{i}/ground_truth', messages.ODOMETRY, wire.SENSOR_DATA),
+                self.talk(f'/veh_{i}/beacons', messages.POINT_CLOUD, wire.SENSOR_DATA),
+                self.talk(f'/veh_{i}/odom', messages.ODOMETRY, wire.SENSOR_DATA),
             )
             for i in range(world.vehicles)
         ), strict=True)
@@ -113,7 +113,7 @@ class Simulator(runtime.Node):
         if self._awaits_poses:
             for i in range(world.vehicles):
                 self.listen(f'/veh_{i}/pose', messages.POSE, partial(self._reports.take, i),
-                            runtime.LATCHED_INPUT)
+                            wire.LATCHED_INPUT)
 
     def run(self) -> None:
         """Simulate one beacon period after the other, each at its time."""
@@ -169,7 +169,7 @@ class Simulator(runtime.Node):
             )
         epoch = self._world.step(self._air.senders(), self._await_poses())
         self._reports.expect(epoch.stamp, epoch.observation.heard.any(axis=1))
-        runtime.publish_all(self._messages(epoch))
+        wire.publish_all(self._messages(epoch))
 
     def _await_poses(self) -> Poses | None:
         """Return the poses of the last period, once they have come; None if nobody is to know."""

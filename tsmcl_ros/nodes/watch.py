@@ -6,7 +6,7 @@ import math
 
 from tsmcl_ros import messages
 from tsmcl_ros.messages.diagnostics import FAILURE
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes import runtime, wire
 
 
 class Watch(runtime.Node):
@@ -37,10 +37,10 @@ class Watch(runtime.Node):
         self.time = math.nan
         self.estimated = math.nan
         self.localized = 0
-        self.listen('/clock', messages.CLOCK, self._take_time, runtime.SENSOR_DATA)
-        self.listen(self._poses[-1], messages.POSE, self._take_pose, runtime.LATCHED_INPUT)
+        self.listen('/clock', messages.CLOCK, self._take_time, wire.SENSOR_DATA)
+        self.listen(self._poses[-1], messages.POSE, self._take_pose, wire.LATCHED_INPUT)
         self.listen('/diagnostics', messages.DIAGNOSTICS,
-                    self._take_diagnostics, runtime.RELIABLE)
+                    self._take_diagnostics, wire.RELIABLE)
 
     def is_recorded(self) -> bool:
         """Tell whether somebody else listens to the anchors and to each vehicle's pose."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+import math
 import shlex
 import signal
 import sys
@@ -67,6 +68,43 @@ def command_line(script: str, arguments: Sequence[str] | None) -> str:
 def add_quiet(parser: argparse.ArgumentParser) -> None:
     """Give the parser `--quiet`."""
     parser.add_argument('--quiet', action='store_true', help='show no progress')
+
+
+def a_number(least: float | None = None, above: float | None = None, unit: str = ''
+             ) -> Callable[[str], float]:
+    """Return what reads a finite number of an option, at least or above another, in a unit."""
+    bound = 'of' * bool(unit)
+    if least is not None:
+        bound = f'at least {least:g}'
+    elif above is not None:
+        bound = f'above {above:g}'
+    allowed = ' '.join(part for part in ('a number', bound, unit) if part)
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value) or (least is not None and value < least) or (
+                above is not None and value <= above):
+            raise argparse.ArgumentTypeError(f'{text} is not allowed, must be {allowed}')
+        return value
+
+    return read
+
+
+def a_whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
+    """Return what reads a whole number of an option, from one to another."""
+    allowed = f'a whole number from {least}{"" if most is None else f" to {most}"}'
+
+    def read(text: str) -> int:
+        # More digits than that Python does not read.
+        value = int(text) if text.isdecimal() and len(text) < 1000 else -1
+        if value < least or (most is not None and value > most):
+            raise argparse.ArgumentTypeError(f'{text} is not allowed, must be {allowed}')
+        return value
+
+    return read
 
 
 def progress_bar(quiet: bool, **options: Any) -> tqdm[Any]:

@@ -25,9 +25,17 @@ from typing import Any
 
 from tsmcl_ros.bag import STORAGES
 from tsmcl_ros.methods import METHODS
-from tsmcl_ros.nodes import runtime
+from tsmcl_ros.nodes.process import session, Stopped
 from tsmcl_ros.nodes.watch import Watch
-from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, progress_bar, run_script
+from tsmcl_ros.scripts.cli import (
+    a_number,
+    a_whole_number,
+    add_quiet,
+    command_line,
+    progress,
+    progress_bar,
+    run_script,
+)
 from tsmcl_ros.scripts.evaluate import format_table, read_all, write_evaluation
 from tsmcl_ros.scripts.scenario import RANGE_FREE, read_scenario, Scenario
 from tsmcl_ros.types import ConfigError, TsmclError
@@ -98,7 +106,7 @@ def _simulate(
         processes.start_node(name, nodes[name])
     try:
         with (
-            runtime.session(), closing(Watch(options.vehicles)) as watch,
+            session(), closing(Watch(options.vehicles)) as watch,
             progress_bar(
                 options.quiet, total=options.duration, leave=True, desc='starting',
                 bar_format='{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s simulated',
@@ -110,7 +118,7 @@ def _simulate(
             _await(processes, watch, lambda: not math.isnan(watch.time))
             _show(bar, watch, processes, options.vehicles)
             duration = watch.time
-    except runtime.Stopped:
+    except Stopped:
         raise KeyboardInterrupt from None
     for name in ('recorder', 'fleet', 'anchor'):
         processes.stop(name)
@@ -321,10 +329,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--config', type=Path, metavar='FILE',
                         help='scenario: parameters of anchor, simulator and fleet; other options '
                              'win over it (default: range-free among sixteen anchors)')
-    parser.add_argument('--vehicles', type=_whole, default=40, metavar='N', help='how many')
-    parser.add_argument('--duration', type=_positive, default=200.0, metavar='S',
+    parser.add_argument('--vehicles', type=a_whole_number(1, 1000), default=40, metavar='N',
+                        help='how many')
+    parser.add_argument('--duration', type=a_number(above=0, unit='s'), default=200.0, metavar='S',
                         help='simulated time')
-    parser.add_argument('--rate', type=_positive, default=8.0, metavar='X',
+    parser.add_argument('--rate', type=a_number(above=0), default=8.0, metavar='X',
                         help='simulated time against real time')
     parser.add_argument('--seed', type=int, default=1, help='of the world and of the localizers')
     parser.add_argument('--method', choices=tuple(METHODS), default='ts_mcl',
@@ -342,20 +351,6 @@ def _parser() -> argparse.ArgumentParser:
                              'half of the duration if not given')
     add_quiet(parser)
     return parser
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be above 0')
-    return value
-
-
-def _whole(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be from 1 to 1000')
-    return value
 
 
 if __name__ == '__main__':

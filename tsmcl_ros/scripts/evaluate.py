@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
 import json
-import math
 from pathlib import Path
 import re
 import sys
@@ -21,7 +20,7 @@ from tsmcl_ros.evaluation.metrics import (
     write_tum,
 )
 from tsmcl_ros.evaluation.recording import read_runs, Run
-from tsmcl_ros.scripts.cli import add_quiet, align, command_line, progress, run_script
+from tsmcl_ros.scripts.cli import a_number, add_quiet, align, command_line, progress, run_script
 from tsmcl_ros.types import BagError, Progress, unshown
 
 
@@ -205,22 +204,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--out', type=Path, metavar='DIR',
                         help='folder for the results (default: BAG_eval, or comparison_eval '
                              'beside the first of several bags)')
-    parser.add_argument('--skip', type=_seconds, default=0.0, metavar='S',
+    parser.add_argument('--skip', type=a_number(0, unit='s'), default=0.0, metavar='S',
                         help="leave out the ground truth's first seconds (default: 0)")
-    parser.add_argument('--max-age', type=_seconds, default=MAX_AGE, metavar='S',
+    parser.add_argument('--max-age', type=a_number(0, unit='s'), default=MAX_AGE, metavar='S',
                         help='an estimate counts as available up to this age '
                              f'(default: {MAX_AGE:g})')
     parser.add_argument('--mean', action='store_true',
                         help='end the table with the mean over the bags')
     add_quiet(parser)
     return parser
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be at least 0 s')
-    return value
 
 
 if __name__ == '__main__':

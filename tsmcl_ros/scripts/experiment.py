@@ -19,7 +19,7 @@ from tsmcl_ros.evaluation.monte_carlo import (
 from tsmcl_ros.evaluation.pools import Cluster, Processes, processors
 from tsmcl_ros.evaluation.reproduction import write_reproduction
 from tsmcl_ros.evaluation.results import prepare_folder, read_results, write_results
-from tsmcl_ros.scripts.cli import add_quiet, align, progress, run_script
+from tsmcl_ros.scripts.cli import a_whole_number, add_quiet, align, progress, run_script
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -102,16 +102,16 @@ def _parser() -> argparse.ArgumentParser:
                         help='a small version that takes seconds and proves nothing')
     parser.add_argument('--again', action='store_true',
                         help='judge and draw anew the results that are there; run nothing')
-    parser.add_argument('--runs', type=_positive, metavar='N',
+    parser.add_argument('--runs', type=a_whole_number(1), metavar='N',
                         help="Monte-Carlo runs of each case (default: the experiment's)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument('--workers', type=_positive, metavar='N',
+    where.add_argument('--workers', type=a_whole_number(1), metavar='N',
                        help='processes, which results do not depend on (default: '
                             f'{processors()})')
     where.add_argument('--scheduler', metavar='ADDRESS',
                        help='run on the Dask cluster of this scheduler instead, such as '
                             'tcp://192.168.1.7:8786; needs tsmcl_ros[dask] on all its hosts')
-    parser.add_argument('--seed', type=_whole, default=0, metavar='S',
+    parser.add_argument('--seed', type=a_whole_number(0), default=0, metavar='S',
                         help='seed of all randomness (default: %(default)s)')
     parser.add_argument('--out', type=Path, default=Path('experiments'), metavar='DIR',
                         help='folder for the files (default: %(default)s)')
@@ -120,18 +120,6 @@ def _parser() -> argparse.ArgumentParser:
                              'the folder)')
     add_quiet(parser)
     return parser
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a whole number from 1')
-    return int(text)
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a whole number from 0')
-    return int(text)
 
 
 if __name__ == '__main__':

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import math
 from pathlib import Path
 import sys
 
 from tsmcl_ros.csv_log import read_log
 from tsmcl_ros.evaluation.path_loss import as_parameters, fit_anchors, gather, join, Samples
-from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
+from tsmcl_ros.scripts.cli import a_number, add_quiet, command_line, progress, run_script
 from tsmcl_ros.types import LogError, Progress
 
 
@@ -57,25 +56,15 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument('logs', nargs='+', metavar='LOG', help='folder of a log')
-    parser.add_argument('--inflate', type=_positive, default=1.0, metavar='FACTOR',
+    parser.add_argument('--inflate', type=a_number(above=0), default=1.0, metavar='FACTOR',
                         help='multiply each sigma_db: successive rssi share their shadowing, so '
                              'a beacon tells less than it would by itself')
-    parser.add_argument('--min-distance', type=_positive, default=0.5, metavar='M',
-                        help='shorter distances count as this one [m]')
+    parser.add_argument('--min-distance', type=a_number(above=0, unit='m'), default=0.5,
+                        metavar='M', help='shorter distances count as this one [m]')
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the parameters to this file, which must not exist, instead')
     add_quiet(parser)
     return parser
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a number above 0')
-    return value
 
 
 if __name__ == '__main__':

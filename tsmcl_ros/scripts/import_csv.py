@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 import heapq
-import math
 from operator import itemgetter
 import sys
 
 from tsmcl_ros import messages
 from tsmcl_ros.bag import STORAGES, Writer
 from tsmcl_ros.csv_log import CsvLog, read_log
-from tsmcl_ros.scripts.cli import add_quiet, command_line, progress, run_script
+from tsmcl_ros.scripts.cli import (
+    a_number,
+    a_whole_number,
+    add_quiet,
+    command_line,
+    progress,
+    run_script,
+)
 from tsmcl_ros.types import Observation, Odometry, Progress, Trajectory
 
 Record = tuple[float, str, bytes]
@@ -92,44 +98,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('log', help='folder of the log')
     parser.add_argument('bag', help='folder of the bag to make; must not exist')
-    parser.add_argument('--epoch', type=_period, default=0.5, metavar='S',
+    parser.add_argument('--epoch', type=a_number(above=0, unit='s'), default=0.5, metavar='S',
                         help='beacons of this period become one scan [s]')
-    parser.add_argument('--threshold', type=_level, metavar='DBM',
+    parser.add_argument('--threshold', type=a_number(unit='dBm'), metavar='DBM',
                         help='make the log range-free: keep beacons of at least this rssi [dBm] '
                              'and nothing of them but that they were heard')
     parser.add_argument('--storage', choices=STORAGES, default=STORAGES[0],
                         help='storage of the bag')
-    parser.add_argument('--id', type=_index, default=0, metavar='N',
+    parser.add_argument('--id', type=a_whole_number(0), default=0, metavar='N',
                         help='number of the vehicle, whose topics are /veh_N/...')
     add_quiet(parser)
     return parser
-
-
-def _period(text: str) -> float:
-    value = _number(text)
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a number above 0 s')
-    return value
-
-
-def _level(text: str) -> float:
-    value = _number(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a number of dBm')
-    return value
-
-
-def _index(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f'{text} is not allowed, must be a whole number from 0')
-    return int(text)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 if __name__ == '__main__':
