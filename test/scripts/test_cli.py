@@ -100,6 +100,31 @@ def test_a_signal_that_comes_in_a_finalizer_stops_the_script(capsys):
     assert capsys.readouterr().err == ''
 
 
+def test_signals_that_come_at_once_stop_a_script_once_and_without_a_word(monkeypatch):
+    both = {signal.SIGINT, signal.SIGTERM}
+    told = []
+
+    def script(arguments):
+        signal.pthread_sigmask(signal.SIG_BLOCK, both)
+        for number in both:
+            signal.raise_signal(number)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, both)
+        return 3
+
+    monkeypatch.setattr(sys, 'unraisablehook', lambda dropped: told.append(dropped.exc_value))
+    assert run_script(script, []) == 0
+    assert told == []
+
+
+def test_a_callers_alarm_still_rings():
+    before = signal.setitimer(signal.ITIMER_REAL, 600)
+    try:
+        run_script(lambda arguments: None, [])
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, *before)
+
+
 def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch):
     class Finalized:
         def __del__(self):

@@ -154,8 +154,9 @@ def _interruptible() -> Iterator[None]:
         return
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
-        for number in previous:
-            signal.signal(number, signal.SIG_IGN)
+        for number in asked:
+            # Not SIG_IGN: Python complains where one has come already.
+            signal.signal(number, lambda *_: None)
         raise Interrupted
 
     def raise_again(dropped: sys.UnraisableHookArgs) -> None:
@@ -166,15 +167,16 @@ def _interruptible() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
 
     previous_hook = sys.unraisablehook
-    previous = {number: signal.getsignal(number)
-                for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
+    asked = signal.SIGINT, signal.SIGTERM
+    previous = {number: signal.getsignal(number) for number in (*asked, signal.SIGALRM)}
     try:
         sys.unraisablehook = raise_again
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in asked:
             signal.signal(number, interrupt)
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        if signal.getsignal(signal.SIGALRM) is interrupt:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in previous.items():
             signal.signal(number, handler)
         sys.unraisablehook = previous_hook
