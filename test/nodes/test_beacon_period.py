@@ -53,7 +53,7 @@ def test_vehicles_in_space_get_beacons_as_often_as_they_ask(
     assert not any(odometry)
     simulator = start('nodes.simulator', *given(
         tmp_path / 's.yaml', 'simulator', Simulator.configs, vehicles=2, duration=float(epochs),
-        rate=25.0, beacon_timeout=20.0, wait_for=2))
+        rate=10.0, beacon_timeout=20.0, wait_for=2))
     probe.expect(lambda: simulator.process.poll() is not None, 'the simulation to end')
     assert simulator.wait() == 0
     # Who is found late misses the first ones.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+import sys
 from typing import Any
 
 import pytest
@@ -14,6 +15,9 @@ from tsmcl_ros.nodes import discovery
 from tsmcl_ros.nodes.localizer import LocalizerNode
 from tsmcl_ros.nodes.wire import LATCHED_INPUT, SENSOR_DATA
 from tsmcl_ros.scripts.localize_bag import localize_bag
+
+sys.path.append(str(Path(__file__).parent))
+from stalls import ARREARS, calmly  # noqa: E402, I100
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'tiers.yaml'
 ODOM = 'odom:=/cali/turtle01/odom'
@@ -104,7 +108,7 @@ def test_what_does_not_appear_is_told_once(
 
 
 def test_the_bag_of_a_driver_replayed_as_it_is_gives_what_it_gives_in_process(
-    start: Callable[..., Any], probe: Any, shared_data: Path, tmp_path: Path,
+    starting: Callable[..., Any], probing: Callable[..., Any], shared_data: Path, tmp_path: Path,
 ) -> None:
     """
     Its clock shows 2022-11-28, its header stamps are of 2022-10-11.
@@ -117,17 +121,22 @@ def test_the_bag_of_a_driver_replayed_as_it_is_gives_what_it_gives_in_process(
     localize_bag(str(bag), str(tmp_path / 'offline'), settings, frame_id=frame_id, remap=[ODOM])
     with Reader(tmp_path / 'offline') as offline:
         expected = [message.data for message in offline.messages(['/pose'])]
-    localizer = start('nodes.localizer', '--ros-args', '--params-file', CONFIG, '-r', ODOM,
-                      '-p', 'use_sim_time:=true')
-    poses = probe.collect('/pose', messages.POSE, LATCHED_INPUT)
-    probe.expect(lambda: probe.hears(['/pose']), 'the localizer')
     wanted = [*(f'/uwb/tof/{pair}/distance' for pair in ('n_3/n_7', 'n_4/n_7', 'n_7/n_5')),
               *(f'/vrpn_client_node/turtlebot{i}_cap/pose' for i in (3, 4)), '/cali/turtle01/odom']
-    replay = start('nodes.replay', '--ros-args', '-p', f'bag:={bag}', '-p', 'rate:=2.0',
-                   '-p', 'wait:=60.0', '-p', f'wait_for:={wanted}'.replace("'", '"'))
-    probe.expect(lambda: len(poses) == len(expected), f'{len(expected)} poses')
-    assert poses == expected
-    assert replay.wait() == 0
-    assert localizer.stop() == 0
-    assert 'rejected' not in localizer.output
-    assert replay.output.count('is not installed') == 1
+
+    def replay(_: int) -> None:
+        with probing() as probe, starting(tmp_path) as start:
+            localizer = start('nodes.localizer', '--ros-args', '--params-file', CONFIG, '-r', ODOM,
+                              '-p', 'use_sim_time:=true')
+            poses = probe.collect('/pose', messages.POSE, LATCHED_INPUT)
+            probe.expect(lambda: probe.hears(['/pose']), 'the localizer')
+            player = start('nodes.replay', '--ros-args', '-p', f'bag:={bag}', '-p', 'rate:=2.0',
+                           '-p', 'wait:=60.0', '-p', f'wait_for:={wanted}'.replace("'", '"'))
+            probe.expect(lambda: player.process.poll() is not None, 'the replay to end')
+            probe.spin(lambda: len(poses) == len(expected), ARREARS)
+            assert poses == expected
+            assert player.wait() == localizer.stop() == 0
+        assert 'rejected' not in localizer.output
+        assert player.output.count('is not installed') == 1
+
+    calmly(replay)

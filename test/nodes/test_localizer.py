@@ -5,6 +5,7 @@ import csv
 from importlib.util import find_spec
 from pathlib import Path
 import signal
+import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -28,6 +29,9 @@ from tsmcl_ros.scripts.localize_bag import localize_bag
 from tsmcl_ros.types import Observation, Odometry
 from tsmcl_ros.world import make_world, World
 from visualization_msgs.msg import MarkerArray
+
+sys.path.append(str(Path(__file__).parent))
+from stalls import ARREARS, calmly  # noqa: E402, I100
 
 Start = Callable[..., Any]
 Ros = Callable[..., None]
@@ -462,7 +466,7 @@ def cut(source: Path, target: Path, end: float) -> Path:
     ('ble_straight_01', {'motion_model': 'velocity', 'radio_model': 'lognormal', 'seed': 3}),
 ])
 def test_a_replay_into_a_running_localizer_gives_what_the_bag_gives_in_process(
-    start: Start, probe: Any, shared_data: Path, tmp_path: Path, log: str,
+    starting: Start, probing: Start, shared_data: Path, tmp_path: Path, log: str,
     settings: dict[str, object],
 ) -> None:
     cut(shared_data / log, tmp_path / 'log', end=60.0)
@@ -470,17 +474,22 @@ def test_a_replay_into_a_running_localizer_gives_what_the_bag_gives_in_process(
     localize_bag(str(tmp_path / 'bag'), str(tmp_path / 'offline'), dict(settings))
     with Reader(tmp_path / 'offline') as bag:
         expected = [message.data for message in bag.messages(['/veh_0/pose'])]
-    localizer = start('nodes.localizer', '--ros-args', '-r', '__ns:=/veh_0',
-                      *overrides(use_sim_time=True, **settings))
-    localizer.wait_for('1 vehicles')
-    poses = probe.collect('/veh_0/pose', messages.POSE, LATCHED_INPUT)
-    replay = start('nodes.replay', '--ros-args', *overrides(bag='bag', rate=20.0),
-                   '-p', 'wait_for:=["/anchor_map", ".*/beacons"]')
-    probe.expect(lambda: len(poses) == len(expected), f'{len(expected)} poses')
-    assert poses == expected
-    assert replay.wait() == 0
-    assert localizer.stop() == 0
-    assert 'rejected' not in localizer.output
+
+    def replay(_: int) -> None:
+        with probing() as probe, starting(tmp_path) as start:
+            localizer = start('nodes.localizer', '--ros-args', '-r', '__ns:=/veh_0',
+                              *overrides(use_sim_time=True, **settings))
+            localizer.wait_for('1 vehicles')
+            poses = probe.collect('/veh_0/pose', messages.POSE, LATCHED_INPUT)
+            player = start('nodes.replay', '--ros-args', *overrides(bag='bag', rate=20.0),
+                           '-p', 'wait_for:=["/anchor_map", ".*/beacons"]')
+            probe.expect(lambda: player.process.poll() is not None, 'the replay to end')
+            probe.spin(lambda: len(poses) == len(expected), ARREARS)
+            assert poses == expected
+            assert player.wait() == localizer.stop() == 0
+        assert 'rejected' not in localizer.output
+
+    calmly(replay)
 
 
 @pytest.mark.parametrize(('override', 'complaint'), [

@@ -99,6 +99,8 @@ class Course(NamedTuple):
         From when it began until all vehicles were said to be no longer OK [s], NaN if never.
     recovered : float
         From when it ended until all were OK again [s].
+    epochs : float
+        How many epochs had poses meanwhile, NaN if they were never OK again.
     nees : (P,) float
         Of the poses from when it began on.
     error : (P,) float
@@ -112,6 +114,7 @@ class Course(NamedTuple):
 
     noticed: float
     recovered: float
+    epochs: float
     nees: Array
     error: Array
     stamp: Array
@@ -129,6 +132,7 @@ def read_course(path: Path, begin: float, end: float) -> Course:
     truth = truths()
     status: list[tuple[float, set[int]]] = []
     rows: list[tuple[float, float, float]] = []
+    seen: list[tuple[float, float]] = []
     suspects = lost = 0
     with Reader(path) as bag:
         for message in bag.messages():
@@ -141,12 +145,14 @@ def read_course(path: Path, begin: float, end: float) -> Course:
                 pose = messages.decode_pose(message.data)
                 vehicle = int(message.topic.split('/')[1].removeprefix('veh_'))
                 error = pose.position[:2] - truth[round(pose.stamp), vehicle]
+                seen.append((message.stamp, pose.stamp))
                 rows.append((pose.stamp, float(np.linalg.norm(error)),
                              float(error @ np.linalg.solve(pose.covariance[:2, :2], error))))
     stamp, error, nees = np.array(rows).T if rows else np.zeros((3, 0))
+    well = next((at for at, levels in status if at > end and levels == {FINE}), np.nan)
     return Course(
         next((at - begin for at, levels in status if FINE not in levels), np.nan),
-        next((at - end for at, levels in status if at > end and levels == {FINE}), np.nan),
+        well - end, len({epoch for at, epoch in seen if end < at <= well}) or np.nan,
         nees, error, stamp, suspects, lost)
 
 
