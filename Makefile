@@ -4,13 +4,17 @@ VENV := .venv$(addprefix -,$(ROS_DISTRO))
 OLDEST := $(VENV)-oldest
 VERSIONS := 3.12 3.11 3.13
 
-# Both cores; one file's tests stay in one process, which has a ROS domain to itself.
-PYTEST := -m pytest -n 2 --dist loadfile
+# Both cores, and one process more, as tests of nodes wait half of the time; one file's tests stay
+# in one process, which has a ROS domain to itself.
+PYTEST := -m pytest -n 3 --dist loadfile
 SOURCES := setup.py setup.cfg pyproject.toml tools/environment.sh
 
 # Where somebody wants no bytecode kept, each of the many processes would compile all it imports,
 # which takes twice as long as the rest of its start.
 unexport PYTHONDONTWRITEBYTECODE
+
+# What is multiplied is too small for several threads, and the cores are taken.
+test test-oldest: export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-oldest lint bench reliability clean
