@@ -7,7 +7,7 @@ DDS is never mocked. Each pytest process, and so each xdist worker, has a ROS do
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 import os
 from pathlib import Path
 import shutil
@@ -169,6 +169,29 @@ class Executable:
         self.process.stdout.close()
 
 
+@contextmanager
+def _starting(folder: Path) -> Iterator[Callable[..., Executable]]:
+    started: list[Executable] = []
+
+    def start_one(module: str, *arguments: object, cwd: Path | None = None,
+                  within: Sequence[str] = ()) -> Executable:
+        executable = Executable(module, tuple(map(str, arguments)), cwd or folder, within)
+        started.append(executable)
+        return executable
+
+    try:
+        yield start_one
+    finally:
+        for executable in started:
+            executable.kill()
+
+
+@pytest.fixture(scope='session')
+def starting() -> Callable[[Path], AbstractContextManager[Callable[..., Executable]]]:
+    """Return what gives `start` in a folder for a while, for fixtures that serve several tests."""
+    return _starting
+
+
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
     """
@@ -178,17 +201,8 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Executable]]:
     folder; neither it nor what it started outlives the test. `within` precedes its command line,
     such as `env`.
     """
-    started: list[Executable] = []
-
-    def start_one(module: str, *arguments: object, cwd: Path | None = None,
-                  within: Sequence[str] = ()) -> Executable:
-        executable = Executable(module, tuple(map(str, arguments)), cwd or tmp_path, within)
-        started.append(executable)
-        return executable
-
-    yield start_one
-    for executable in started:
-        executable.kill()
+    with _starting(tmp_path) as start_one:
+        yield start_one
 
 
 @pytest.fixture

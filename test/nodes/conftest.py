@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 import time
 from typing import Any
@@ -85,13 +86,22 @@ class Scene:
         pytest.fail(f'waited in vain for {what}')
 
 
+@contextmanager
+def _ros() -> Iterator[Callable[..., None]]:
+    try:
+        yield lambda *arguments: rclpy.init(
+            args=['test', '--ros-args', *arguments],
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    finally:
+        rclpy.try_shutdown()
+
+
 @pytest.fixture
 def ros() -> Iterator[Callable[..., None]]:
     """Start ROS with some arguments, once a test."""
-    yield lambda *arguments: rclpy.init(
-        args=['test', '--ros-args', *arguments], signal_handler_options=SignalHandlerOptions.NO,
-    )
-    rclpy.try_shutdown()
+    with _ros() as init:
+        yield init
 
 
 @pytest.fixture
@@ -100,13 +110,25 @@ def probe_class() -> type[Probe]:
     return Probe
 
 
+@contextmanager
+def _probing() -> Iterator[Probe]:
+    with _ros() as ros:
+        ros()
+        with closing(Probe()) as node:
+            yield node
+
+
+@pytest.fixture(scope='session')
+def probing() -> Callable[..., AbstractContextManager[Probe]]:
+    """Return what makes a probe for a while, for fixtures that serve several tests."""
+    return _probing
+
+
 @pytest.fixture
-def probe(ros: Callable[..., None]) -> Iterator[Probe]:
+def probe() -> Iterator[Probe]:
     """Return a node of the test's own, on the wall's time."""
-    ros()
-    node = Probe()
-    yield node
-    node.close()
+    with _probing() as node:
+        yield node
 
 
 @pytest.fixture

@@ -7,9 +7,16 @@ import sys
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / 'reliability'))
+sys.path += [str(Path(__file__).parents[1] / 'reliability'), str(Path(__file__).parent)]
 from broken_bags import fill_disk  # noqa: E402, I100
 from links import cut_link, kill_fleet, Refused, restart_anchors  # noqa: E402, I100
+from stalls import calmly  # noqa: E402, I100
+
+
+def made(folder: Path) -> Path:
+    """Make a folder."""
+    folder.mkdir()
+    return folder
 
 
 @pytest.mark.accuracy
@@ -17,7 +24,8 @@ def test_a_fleet_behind_a_cut_link_is_stale_in_two_epochs_and_well_again_in_five
     tmp_path: Path,
 ) -> None:
     try:
-        found = cut_link(tmp_path, settled=4, seconds=6, after=5)
+        found = calmly(lambda number: cut_link(
+            made(tmp_path / f'{number}'), settled=4, seconds=6, after=5))
     except Refused as refused:
         pytest.skip(f'this machine lets nobody make hosts: {refused}')
     assert found.noticed < 2
@@ -28,7 +36,8 @@ def test_a_fleet_behind_a_cut_link_is_stale_in_two_epochs_and_well_again_in_five
 
 @pytest.mark.accuracy
 def test_killed_localizers_are_right_again_in_three_epochs(tmp_path: Path) -> None:
-    found = kill_fleet(tmp_path, settled=4, after=5)
+    found = calmly(lambda number: kill_fleet(
+        made(tmp_path / f'{number}'), settled=4, after=5))
     assert found.recovered < 3
     # One vehicle more or less is a twentieth, and stays so for some epochs.
     assert found.wrong < 0.15
@@ -36,7 +45,8 @@ def test_killed_localizers_are_right_again_in_three_epochs(tmp_path: Path) -> No
 
 @pytest.mark.accuracy
 def test_of_anchors_that_are_started_again_nobody_speaks(tmp_path: Path) -> None:
-    found, news = restart_anchors(tmp_path, settled=4, after=5)
+    found, news = calmly(lambda number: restart_anchors(
+        made(tmp_path / f'{number}'), settled=4, after=5))
     assert (found.lost, found.suspects) == (0, 0)
     assert found.wrong < 0.1
     # No beacons for a moment, and nothing else.

@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import signal
+import sys
 import time
 from typing import Any
 
@@ -15,6 +16,9 @@ from tsmcl_ros.nodes.runtime import main
 from tsmcl_ros.nodes.wire import LATCHED_INPUT, SENSOR_DATA
 from tsmcl_ros.types import Odometry
 from tsmcl_ros.world import anchor_table
+
+sys.path.append(str(Path(__file__).parent))
+from stalls import calmly  # noqa: E402, I100
 
 Start = Callable[..., Any]
 ODOM, POSE, MAP = '/veh_0/odom', '/veh_0/pose', '/anchor_map'
@@ -91,9 +95,14 @@ def test_latched_messages_come_first_and_also_to_who_comes_later(
 def test_a_replay_keeps_its_rate(probe: Any, start: Start, bag: Path) -> None:
     times: list[float] = []
     probe.listen(ODOM, messages.ODOMETRY, lambda _: times.append(time.monotonic()), SENSOR_DATA)
-    play(start, 'rate:=10.0', f'wait_for:=[{ODOM}]')
-    probe.expect(lambda: len(times) == 21, '21 messages')
-    assert times[-1] - times[0] == pytest.approx(1.0, abs=0.25)
+    play(start, 'rate:=10.0', 'loop:=true', f'wait_for:=[{ODOM}]')
+
+    def took(_: int) -> float:
+        times.clear()
+        probe.expect(lambda: len(times) > 21, 'as many messages as a round has, and one more')
+        return times[21] - times[0]
+
+    assert calmly(took) == pytest.approx(1.0, abs=0.25)
 
 
 def test_a_replay_can_begin_in_the_middle_and_again_at_the_end(
