@@ -7,7 +7,7 @@ from functools import partial
 import math
 
 import numpy as np
-from tsmcl_ros.model.evidence import Power, ShadowedBoundary
+from tsmcl_ros.model.factors import Power, ShadowedBoundary
 from tsmcl_ros.model.kinematics import kinematics_of
 from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.links import fit_links
