@@ -314,7 +314,8 @@ def test_a_belief_that_contradicts_what_is_heard_is_replaced_and_told(method: st
     there = listen(np.array([[3000.0, 0.0]]), 2)
     first = filter_.update(there)
     np.testing.assert_array_equal(first.reinitialized, [True, False])
-    assert np.linalg.norm(first.mean[0] - [3000.0, 0.0]) < 200.0
+    # In the disk of 1 km, and not much on the side that it was on.
+    assert np.linalg.norm(first.mean[0] - [3000.0, 0.0]) < 300.0
     filter_.predict(moved(vehicles=2))
     assert not filter_.update(there).reinitialized.any()
 

@@ -355,12 +355,17 @@ def test_a_cloud_that_hardly_overlaps_what_is_heard_is_saved_by_the_search() -> 
 
 
 def test_a_cloud_that_who_is_heard_excludes_is_drawn_anew_all_over_the_disk() -> None:
-    filter_ = ts_mcl()
-    start(filter_, 300.0, std=5.0)
+    filter_ = ts_mcl(min_particles=500, max_particles=5000)
+    start(filter_, 400.0, std=50.0)
     estimate = filter_.update(listen([(0.0, 0.0)]))
     assert estimate.reinitialized[0]
-    # The standard deviation of a disk is half its radius.
-    np.testing.assert_allclose(np.sqrt(np.diagonal(estimate.covariance[0])), 50.0, rtol=0.15)
+    disk = np.random.default_rng(1).uniform(-100, 100, (MANY, 2))
+    disk = disk[np.linalg.norm(disk, axis=1) < 100.0]
+    weights = stats.multivariate_t([400.0, 0.0], 2500.0, df=1).pdf(disk)
+    mean = np.average(disk, axis=0, weights=weights)
+    spread = np.sqrt(np.average((disk - mean) ** 2, axis=0, weights=weights))
+    np.testing.assert_allclose(estimate.mean[0], mean, atol=5.0)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(estimate.covariance[0])), spread, rtol=0.1)
 
 
 def test_a_cloud_that_a_range_excludes_is_searched_from_where_it_is() -> None:

@@ -13,6 +13,7 @@ from scipy import special, stats
 from tsmcl_ros.model.particles import (
     effective_sample_size,
     kernel_density,
+    log_cauchy,
     moments,
     normalize,
     spread,
@@ -182,6 +183,22 @@ def test_kernel_densities_are_scipys() -> None:
 def test_far_from_all_kernels_a_density_is_small_but_not_zero() -> None:
     density = kernel_density(np.full((1, 1, 2), 1e5), np.zeros((1, 4, 2)), np.ones(1))
     assert 0 < density[0, 0] < 1e-5
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_cauchy_s_density_is_that_of_student_with_one_degree_of_freedom(dimension: int) -> None:
+    rng = np.random.default_rng(3)
+    points, mean = rng.normal(0, 50, (2, 30, dimension)), rng.normal(0, 9, (2, dimension))
+    root = rng.normal(0, 5, (2, dimension, dimension))
+    scale = root @ np.swapaxes(root, 1, 2) + np.eye(dimension)
+    found = log_cauchy(points, mean, scale)
+    for one in range(2):
+        apart = found[one] - stats.multivariate_t(mean[one], scale[one], df=1).logpdf(points[one])
+        np.testing.assert_allclose(apart, apart[0], atol=1e-4)
+
+
+def test_cauchy_s_density_around_a_point_is_finite() -> None:
+    assert np.isfinite(log_cauchy(np.ones((1, 5, 2)), np.zeros((1, 2)), np.zeros((1, 2, 2)))).all()
 
 
 def test_an_error_adds_so_much_of_the_plain_cloud() -> None:

@@ -210,6 +210,16 @@ def test_vehicles_are_localized_by_path_losses_that_are_wrong_at_first(p_0, n):
     assert localizer.channel.path_loss(np.array(-1)).exponent == pytest.approx(2.5, abs=0.3)
 
 
+def test_a_place_that_is_told_ahead_of_the_first_rssi_is_kept():
+    world = make_world({**RADIO, 'vehicles': 1, 'odom_noise': 0.5}, np.random.default_rng(1))
+    localizer = Localizer({**RADIO, 'odom_std': 0.5, 'rssi_calibration': 'online'})
+    localizer.anchor_map(world.anchors)
+    epoch = world.step()
+    localizer.initial_pose(Prior(0, epoch.position[0], np.eye(2)))
+    found = localizer.epoch(epoch.observation, epoch.odom_position, epoch.odom_yaw)
+    np.testing.assert_allclose(found.mean, epoch.position, atol=4.0)
+
+
 def test_it_can_be_switched_on_and_off_while_running():
     _, localizer = rmse({'rssi_calibration': 'online'}, epochs=6)
     learnt = localizer.channel.path_loss(np.array(-1))

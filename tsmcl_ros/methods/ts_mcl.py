@@ -65,11 +65,12 @@ class TsMcl(ParticleFilter):
         evidence = self.channel.evidence(observation)
         self.cloud.place(evidence, self.search)
         log_likelihood = evidence.log_likelihood(self.cloud.particles)
-        # Who is merely heard is anywhere in a region, of which a search finds the nearest edge.
+        # A search finds the nearest edge of a region in all of which who is merely heard may be.
         vague = ~self.channel.measured(observation).any(axis=1)
-        log_likelihood = self.cloud.redraw(
-            vague & self.cloud.hopeless(evidence, log_likelihood), evidence, log_likelihood,
-            self.search)
+        surprised = vague & self.cloud.hopeless(evidence, log_likelihood)
+        if surprised.any():
+            self.cloud.place_again(surprised, evidence, self.search, nearby=True)
+            log_likelihood = evidence.log_likelihood(self.cloud.particles)
         log_likelihood = self.repair(evidence, log_likelihood)
         log_likelihood = self.cloud.recover(evidence, log_likelihood, self.search)
         self.cloud.weigh(log_likelihood)

@@ -16,6 +16,7 @@ from tsmcl_ros.model.particles import (
     effective_sample_size,
     even_resample,
     kernel_density,
+    log_cauchy,
     moments,
     normalize,
     spread,
@@ -124,10 +125,25 @@ class Cloud:
         self._reinitialized = np.zeros(len(self.placed), bool)
         self._draw(evidence.heard & ~self.placed, evidence, repair)
 
-    def place_again(self, which: Array, evidence: Evidence, repair: Repair | None = None
-                    ) -> None:
-        """Draw the clouds of these vehicles (V,) bool anew, from the observation alone."""
-        self._draw(which, evidence, repair)
+    def place_again(self, which: Array, evidence: Evidence, repair: Repair | None = None,
+                    nearby: bool = False) -> None:
+        """
+        Draw the clouds of vehicles anew.
+
+        Parameters
+        ----------
+        which : (V,) bool
+            Theirs.
+        evidence : Evidence
+            What was heard.
+        repair : Repair, optional
+            For candidates of whom hardly any is likely.
+        nearby : bool
+            Whether the old cloud still says something: a density as heavy-tailed as Cauchy's, so
+            that it does not matter how far beyond all expectation a vehicle is.
+
+        """
+        self._draw(which, evidence, repair, nearby)
         self._reinitialized = self._reinitialized | which
 
     def excluded(self, evidence: Evidence, log_likelihood: Array) -> Array:
@@ -169,14 +185,9 @@ class Cloud:
         excluded = self.excluded(evidence, log_likelihood)
         if spared is not None:
             excluded &= ~spared
-        return self.redraw(excluded, evidence, log_likelihood, repair)
-
-    def redraw(self, which: Array, evidence: Evidence, log_likelihood: Array,
-               repair: Repair | None = None) -> Array:
-        """Draw clouds (V,) bool anew; return the log-likelihood (V, N) of all particles."""
-        if not which.any():
+        if not excluded.any():
             return log_likelihood
-        self.place_again(which, evidence, repair)
+        self.place_again(excluded, evidence, repair)
         return evidence.log_likelihood(self.particles)
 
     def fill(self, vehicle: Array, candidates: Array, weights: Array) -> Array:
@@ -310,13 +321,15 @@ class Cloud:
         self._equalize(low)
         return low, index
 
-    def _draw(self, which: Array, evidence: Evidence, repair: Repair | None) -> None:
+    def _draw(self, which: Array, evidence: Evidence, repair: Repair | None,
+              nearby: bool = False) -> None:
         """Draw candidates in the evidence's box and keep the likely ones as particles."""
         vehicle = np.flatnonzero(which)
         for rows in chunks(len(vehicle), self.config.max_particles, _CANDIDATES):
-            self._draw_some(vehicle[rows], evidence, repair)
+            self._draw_some(vehicle[rows], evidence, repair, nearby)
 
-    def _draw_some(self, vehicle: Array, evidence: Evidence, repair: Repair | None) -> None:
+    def _draw_some(self, vehicle: Array, evidence: Evidence, repair: Repair | None,
+                   nearby: bool) -> None:
         """Draw particles of some vehicles (W,) int."""
         many, few = self.config.max_particles, self.config.min_particles
         shape = (len(vehicle), many, self.dimension)
@@ -334,6 +347,9 @@ class Cloud:
                 np.repeat(spread(candidates), many)[scarce], evidence)
             weights, _ = normalize(likelihood.reshape(shape[:2]))
         points = flat.reshape(shape)
+        if nearby:
+            weights, _ = normalize(likelihood.reshape(shape[:2]) + log_cauchy(
+                points, *moments(self.particles[vehicle], self.weights[vehicle])))
         index = even_resample(points, weights, few, self.rng)
         drawn = np.take_along_axis(points, index[:, :, None], axis=1)
         # A candidate stands for all that is nearer to it than to others. Where hardly any fits,

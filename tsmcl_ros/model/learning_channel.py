@@ -7,7 +7,7 @@ from functools import partial
 import math
 
 import numpy as np
-from tsmcl_ros.model.evidence import Power, ShadowedBoundary
+from tsmcl_ros.model.factors import Power, ShadowedBoundary
 from tsmcl_ros.model.kinematics import kinematics_of
 from tsmcl_ros.model.learnt import Learnt
 from tsmcl_ros.model.links import fit_links
@@ -132,6 +132,8 @@ class LearningChannel(Channel):
 
     def start(self, prior: Prior) -> None:
         """Learn from a vehicle from a prior belief on."""
+        if self.calibrates_power:
+            self._begin_powers()
         self.powers.start(prior)
 
     def forget(self, vehicle: int) -> None:
@@ -146,8 +148,7 @@ class LearningChannel(Channel):
         loss = self._supposed(observation.sender)
         used = self.powered(observation) & (observation.kind == ANCHOR) & (observation.hops == 1)
         silence = self.radio.radio_model == 'lognormal' and self.switches.silence != 'none'
-        if not self.powers.follows:
-            self._follow_powers()
+        self._begin_powers()
         self.powers.forget(estimate.reinitialized)
         self.powers.learn(
             observation.sender, observation.position,
@@ -157,6 +158,11 @@ class LearningChannel(Channel):
             self.radio.sensitivity if silence else -math.inf,
             self.evidence(observation).without(Power, ShadowedBoundary),
             *(self._silent(observation) if silence else ()))
+
+    def _begin_powers(self) -> None:
+        """Follow vehicles by rssi, which costs something, no sooner than that is of use."""
+        if not self.powers.follows:
+            self._follow_powers()
 
     def _silent(self, observation: Observation) -> tuple[Silence | None, tuple[Array, ...]]:
         """Return who was silent to vehicles that heard somebody, and what was to be expected."""

@@ -13,6 +13,7 @@ from tsmcl_ros.types import Array
 
 # Points reckoned at once, so that what is made of them on the way stays in the cache.
 _CHUNK = 8192
+_SHARPEST = 1e-6  # m^2, lest a cloud be a point
 
 
 def chunks(count: int, size: int = 1, most: int = _CHUNK) -> list[slice]:
@@ -126,6 +127,20 @@ def kernel_density(points: Array, kernels: Array, width: Array) -> Array:
     exponent -= 0.5 * np.square(kernels).sum(axis=2)[:, None, :]
     count = kernels.shape[1]
     return np.asarray((np.exp(exponent).sum(axis=2) + np.float32(1e-6)) / count)
+
+
+def log_cauchy(points: Array, mean: Array, covariance: Array) -> Array:
+    """
+    Return the log of Cauchy's density at points (V, P, D), (V, P) float32, but for a constant.
+
+    It has a place (V, D) [m] and, in place of a covariance, a scale (V, D, D) [m^2]: Student's t
+    with one degree of freedom.
+    """
+    dimension = points.shape[2]
+    away = points - mean[:, None]
+    scale = covariance + _SHARPEST * np.eye(dimension)
+    squared = np.einsum('vpi,vip->vp', away, np.linalg.solve(scale, np.swapaxes(away, 1, 2)))
+    return np.asarray(-(1 + dimension) / 2 * np.log1p(squared), np.float32)
 
 
 def moments(particles: Array, weights: Array, error: Array | None = None) -> tuple[Array, Array]:

@@ -19,7 +19,8 @@ import math
 
 import numpy as np
 from tsmcl_ros.model.cloud import Cloud, CloudConfig
-from tsmcl_ros.model.evidence import Evidence, log_of_rate
+from tsmcl_ros.model.evidence import Evidence
+from tsmcl_ros.model.factors import log_of_rate
 from tsmcl_ros.model.learnt import aged, LearntRssi
 from tsmcl_ros.model.motion import MotionModel
 from tsmcl_ros.model.particles import chunks

@@ -7,22 +7,20 @@ import math
 
 import numpy as np
 from tsmcl_ros.model.calibration import RangeCalibration
-from tsmcl_ros.model.evidence import (
-    column,
+from tsmcl_ros.model.evidence import Evidence, Factor
+from tsmcl_ros.model.factors import (
     DiskBoundary,
     ENDLESS,
-    Evidence,
-    Factor,
     log_of_rate,
     NEVER,
     Power,
-    References,
     ShadowedBoundary,
 )
 from tsmcl_ros.model.geometry import Reach
 from tsmcl_ros.model.power_calibration import PowerCalibration
 from tsmcl_ros.model.radio_config import EvidenceConfig, PathLoss, RadioConfig
 from tsmcl_ros.model.range_law import RangeLaw
+from tsmcl_ros.model.references import column, References
 from tsmcl_ros.types import (
     Array,
     ConfigError,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from tsmcl_ros.model.calibration import RangeCalibration
-from tsmcl_ros.model.evidence import column, References
 from tsmcl_ros.model.radio_config import RadioConfig
 from tsmcl_ros.model.ranging import (
     AsymmetricErrors,
@@ -13,6 +12,7 @@ from tsmcl_ros.model.ranging import (
     RangeErrors,
     Ranging,
 )
+from tsmcl_ros.model.references import column, References
 from tsmcl_ros.types import Array, Observation
 
 

@@ -12,7 +12,9 @@ import math
 from typing import ClassVar, Protocol
 
 import numpy as np
-from tsmcl_ros.model.evidence import Evidence, flat, heavy_tailed, References
+from tsmcl_ros.model.evidence import Evidence
+from tsmcl_ros.model.factors import heavy_tailed
+from tsmcl_ros.model.references import flat, References
 from tsmcl_ros.types import Array
 
 _ERFC = (-1.26551223, 1.00002368, 0.37409196, 0.09678418, -0.18628806, 0.27886807, -1.13520398,
