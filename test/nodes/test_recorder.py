@@ -92,6 +92,7 @@ def test_a_best_effort_burst_of_many_topics_is_recorded_without_loss(
     # Less than 512 messages and half a megabyte, which the memory between processes holds.
     for epoch in range(10):
         publish_all((talk, odometry(float(epoch))) for talk in talks)
+    probe.spin(timeout=SETTLING)
     assert recorder.stop() == 0
     with Reader(tmp_path / 'bag') as bag:
         assert set(bag.counts.values()) == {10}

@@ -23,6 +23,7 @@ from tsmcl_ros.types import BagError, ConfigError, MessageError
 _UNASKED = ('/clock', '/parameter_events', '/rosout')
 _DISCOVERY = 0.1  # s, between two looks for new topics
 _SAVING = 0.5  # s, between two times that all is put on disk
+_QUIET = 0.2  # s, after which nothing is on its way any more, on a machine under load
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Recorder(runtime.Node):
         """Write what has arrived already, and complete the bag, if the disk has not failed."""
         if self._bag.is_open:
             try:
-                self.drain(quiet=0.05, timeout=2.0)
+                self.drain(_QUIET, timeout=2.0)
                 self._write_early(0.0)
             finally:
                 self._bag.close()
