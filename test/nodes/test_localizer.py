@@ -79,6 +79,19 @@ class Source:
         return sent
 
 
+def logged(scene: Scene, capfd: pytest.CaptureFixture[str], note: str) -> str:
+    """Return what has been logged, a few periods of warnings after a note."""
+    written: list[str] = []
+
+    def is_noted() -> bool:
+        written.append(capfd.readouterr().err)
+        return note in ''.join(written)
+
+    scene.until(is_noted, note)
+    scene.node.spin(timeout=0.3)
+    return ''.join(written) + capfd.readouterr().err
+
+
 @pytest.fixture
 def begin(begin: Callable[..., Any]) -> Callable[..., Any]:
     """Start a localizer node with these parameters and some more."""
@@ -268,9 +281,8 @@ def test_strangers_are_ignored_named_once_and_can_be_let_in_while_it_runs(
     step(lambda count: count in (0, 1))
     assert int(facts()['beacons and ranges ignored']) > 0
     assert '1' not in facts()['senders ignored'].split(', ')
-    scene.node.spin(timeout=0.3)
-    written = capfd.readouterr().err
-    assert written.count('ignored beacons and ranges, ') == 1
+    note = 'ignored beacons and ranges, '
+    assert logged(scene, capfd, note).count(note) == 1
     set_one, = scene.node.set_parameters([Parameter('anchor_allowlist', value=['0-99'])])
     assert set_one.successful
     step(lambda count: count > 1)
@@ -293,9 +305,9 @@ def test_who_says_what_cannot_be_true_is_named_once_and_the_others_are_heard(
         heard.range[0, 0] = -1
         source.beacons[0].publish(messages.encode_beacons(heard, 'map')[0])
     scene.until(lambda: bool(received), 'a pose')
-    scene.node.spin(timeout=0.3)
-    written = capfd.readouterr().err
-    assert written.count('left out beacons that cannot be true, ') == 1
+    note = 'left out beacons that cannot be true, '
+    written = logged(scene, capfd, note)
+    assert written.count(note) == 1
     assert 'of id 0, such as: range -1 of id 0 is not allowed' in written
     assert 'rejected' not in written
 
