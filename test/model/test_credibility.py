@@ -26,9 +26,9 @@ def heard(place=(0.0, 0.0), ranged=False, lies=None):
     return table
 
 
-def sift(credibility, observation, mean=(0.0, 0.0), std=10.0):
+def sift(credibility, observation, mean=(0.0, 0.0), std=10.0, way=0.0):
     """Return the ids that are believed, and the beliefs that are to be replaced."""
-    credibility.move(np.zeros((1, 2)), np.zeros(1))
+    credibility.move(np.full((1, 2), way), np.zeros(1))
     kept, priors = credibility.sift(
         CHANNEL, observation, np.array([mean], float), std ** 2 * np.eye(2)[None], np.zeros(1))
     return kept.sender[kept.heard].tolist(), priors
@@ -104,3 +104,13 @@ def test_a_young_belief_is_refuted_by_disks_unless_somebody_told_it(told):
     _, priors = sift(credibility, heard(), mean=(600, 600), std=1.0)
     assert credibility.monitor.lost < 0.5
     assert len(priors) == (not told)
+
+
+@pytest.mark.parametrize(('way', 'believed'), [
+    (0.0, [0, 2, 3, 4, 5]), (np.nan, [0, 1, 2, 3, 4, 5])])
+def test_disks_that_agree_are_believed_against_a_belief_that_no_odometry_carries(way, believed):
+    credibility = watch()
+    for _ in range(12):
+        sift(credibility, heard(), way=way)
+    # Beyond the reach of sender 1.
+    assert sift(credibility, heard(), mean=(350, 0), std=1.0, way=way) == (believed, [])

@@ -197,7 +197,8 @@ class Credibility:
             # told by the few disks of the first epochs, as who is elsewhere is lost soon.
             refuted = ~self._told[some] & (verdict.refutation > (self._age[some] >= _PROBATION))
             anew = settled[some] & (self._doubtful[some] | refuted) & recalled.used.any(axis=1)
-            trusted = settled[some] & ~anew
+            # Without odometry a belief goes where its motion model has it, and tells no lies.
+            trusted = settled[some] & ~anew & self._recollection.follows[some]
             pairs = pair(some[:, None], recalled.sender)
             accused.append(pairs[verdict.against])
             refused.append(pairs[np.where(

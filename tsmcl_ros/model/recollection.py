@@ -50,12 +50,18 @@ class Recollection:
     vehicles, dimension : int
         V and D.
 
+    Attributes
+    ----------
+    follows : (V,) bool
+        Whose way of the last epoch is known.
+
     """
 
     def __init__(self, vehicles: int, dimension: int):
         self._way = np.zeros((vehicles, dimension))
         self._variance = np.zeros(vehicles)
         self._epoch = 0
+        self.follows = np.zeros(vehicles, bool)
         self._pair = np.zeros(0, np.int64)
         # Centres as they would be if the vehicle had been at 0 all the time.
         self._centre = np.zeros((2, 0, dimension))
@@ -77,6 +83,7 @@ class Recollection:
         """
         self._epoch += 1
         known = np.isfinite(displacement).all(axis=1)
+        self.follows = known
         self._way += np.where(known[:, None], displacement, 0)
         self._variance += np.where(known, variance, 0)
         self.forget(~known)
