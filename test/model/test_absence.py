@@ -34,11 +34,11 @@ def epoch(heard, silent):
         observation, silent=silence)
 
 
-def learnt(*epochs, miss_rate=0.0, met=TWO, renewed=False):
+def learnt(*epochs, miss_rate=0.0, met=TWO, renewed=False, follows=True):
     absences = Absences(HealthConfig(), miss_rate, 1)
     for found, observation in epochs:
         absences.renew(np.array([renewed]))
-        absences.learn(found, observation, met)
+        absences.learn(found, observation, met, np.array([follows]))
     return absences
 
 
@@ -61,6 +61,16 @@ def test_a_silence_that_contradicts_for_the_first_time_is_as_rare_as_a_lost_beac
 def test_an_anchor_that_stays_silent_is_left_out():
     assert weighed(learnt(MISSED)).known.all()
     assert not weighed(learnt(*[MISSED] * 5)).known.any()
+
+
+def test_nobody_is_missed_who_is_silent_to_a_belief_that_nothing_but_who_is_heard_leads():
+    assert weighed(learnt(*[MISSED] * 20, follows=False)).known.all()
+
+
+def test_an_anchor_is_missed_where_ranges_place_a_vehicle_without_odometry():
+    found, observation = MISSED
+    ranged = replace(found, disk=np.zeros_like(found.disk)), observation
+    assert not weighed(learnt(*[ranged] * 5, follows=False)).known.any()
 
 
 def test_an_anchor_that_is_heard_again_counts_again():

@@ -68,7 +68,8 @@ class Absences:
         """Hold nothing against the anchors that one vehicle misses."""
         self._keep(split(self._pair)[0] != vehicle)
 
-    def learn(self, deviations: Deviations, observation: Observation, met: Array) -> None:
+    def learn(self, deviations: Deviations, observation: Observation, met: Array,
+              follows: Array) -> None:
         """
         Learn from how an epoch's silence agrees with the prediction, and who was heard.
 
@@ -80,6 +81,9 @@ class Absences:
             What deviates so.
         met : (V,) int
             How many of the anchors that it knows of a vehicle hears.
+        follows : (V,) bool
+            Whose belief odometry carries. Others, if they measure nothing either, are off too
+            often to say who is missing.
 
         """
         self._renewed -= self._renewed > 0
@@ -98,7 +102,9 @@ class Absences:
         pairs = pair(vehicle, deviations.sender[vehicle, row])
         self._first, self._last = np.setdiff1d(pairs, self._last), pairs
         weight = self._in_place(
-            loud & ~contradicts, loud & contradicts, surprising)[vehicle]
+            loud & ~contradicts, loud & contradicts, surprising)
+        led = follows | (loud & ~deviations.disk).any(axis=1)
+        weight = np.where(led, weight, 0)[vehicle]
         self._pair, place = np.unique(
             np.concatenate([self._pair, pairs]), return_inverse=True)
         self._missed = np.minimum(_MOST, np.bincount(

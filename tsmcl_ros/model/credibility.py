@@ -100,7 +100,7 @@ class Credibility:
         disproved = self.claims.disproved(observation)
         observation = observation.without(disproved)
         found = deviations(channel, observation, mean, covariance)
-        self._absences.learn(found, observation, met)
+        self._absences.learn(found, observation, met, self._recollection.follows)
         supported = self._supported(channel, observation, found, mean, covariance)
         contradicts, counts = monitor.judge_vehicles(
             found, self._absences.usual(found) | (supported[:, None] & ~found.disk))
