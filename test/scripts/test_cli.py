@@ -125,6 +125,21 @@ def test_a_callers_alarm_still_rings():
         signal.setitimer(signal.ITIMER_REAL, *before)
 
 
+def test_what_a_signal_left_half_made_fails_to_be_finalized_without_a_word(monkeypatch):
+    class HalfMade:
+        def __init__(self):
+            signal.raise_signal(signal.SIGTERM)
+            self.name = 'whole'
+
+        def __del__(self):
+            assert self.name == 'whole'
+
+    told = []
+    monkeypatch.setattr(sys, 'unraisablehook', lambda dropped: told.append(dropped.exc_type))
+    assert run_script(lambda arguments: HalfMade() and None, []) == 0
+    assert told == []
+
+
 def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch):
     class Finalized:
         def __del__(self):

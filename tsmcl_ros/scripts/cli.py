@@ -49,9 +49,10 @@ def run_script(
     """
     try:
         with _interruptible():
-            return script(arguments) or 0
-    except KeyboardInterrupt:
-        return 0
+            try:
+                return script(arguments) or 0
+            except KeyboardInterrupt:
+                return 0
     except (TsmclError, OSError) as error:
         reason = str(error)
         if isinstance(error, OSError) and error.strerror:
@@ -147,7 +148,8 @@ def _interruptible() -> Iterator[None]:
     Have SIGINT and SIGTERM raise KeyboardInterrupt, once: what it cleans up is to be done.
 
     Finalizers and the calls of weak references run in between of anything, and Python drops what
-    is raised in them; it is raised anew then.
+    is raised in them; it is raised anew then. What was just being made cannot always be finalized,
+    which is nobody's fault and not told.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -157,15 +159,17 @@ def _interruptible() -> Iterator[None]:
         for number in asked:
             # Not SIG_IGN: Python complains where one has come already.
             signal.signal(number, lambda *_: None)
+        stopping.set()
         raise Interrupted
 
     def raise_again(dropped: sys.UnraisableHookArgs) -> None:
-        if not isinstance(dropped.exc_value, Interrupted):
+        if isinstance(dropped.exc_value, Interrupted):
+            signal.signal(signal.SIGALRM, interrupt)
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        elif not stopping.is_set():
             previous_hook(dropped)
-            return
-        signal.signal(signal.SIGALRM, interrupt)
-        signal.setitimer(signal.ITIMER_REAL, AGAIN)
 
+    stopping = threading.Event()
     previous_hook = sys.unraisablehook
     asked = signal.SIGINT, signal.SIGTERM
     previous = {number: signal.getsignal(number) for number in (*asked, signal.SIGALRM)}
