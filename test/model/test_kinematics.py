@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from tsmcl_ros.model.kinematics import Cruising, kinematics_of, move
-from tsmcl_ros.model.motion import motion_model, MotionConfig
+from tsmcl_ros.model.kinematics import Cruising, Kinematics, kinematics_of, move
+from tsmcl_ros.model.motion import motion_model, MotionConfig, MotionModel
 from tsmcl_ros.types import Motion, Prior
 
 MANY = 40_000
@@ -25,16 +25,25 @@ MODELS = [
 ]
 
 
+def drive(name: str, settings: dict[str, object], dimension: int
+          ) -> tuple[MotionModel, Kinematics, Motion]:
+    """Return a motion model, what it is to Gaussians, and a motion."""
+    model = motion_model(MotionConfig(motion_model=name, **settings),  # type: ignore[arg-type]
+                         dimension, True)
+    return model, kinematics_of(model, dimension), Motion(
+        1.5, np.array([[3.0, -1.0, 0.5]])[:, :dimension], np.array([0.4]))
+
+
+def some_belief(size: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.arange(size) * 1.0, np.eye(size) + 0.2
+
+
 @pytest.mark.parametrize('dimension', [2, 3])
 @pytest.mark.parametrize(('name', 'settings'), MODELS)
 def test_a_belief_moves_as_its_particles_do(
         name: str, settings: dict[str, object], dimension: int) -> None:
-    model = motion_model(MotionConfig(motion_model=name, **settings),  # type: ignore[arg-type]
-                         dimension, True)
-    kinematics = kinematics_of(model, dimension)
-    size = dimension + kinematics.extra
-    mean, covariance = np.arange(size) * 1.0, np.eye(size) + 0.2
-    motion = Motion(1.5, np.array([[3.0, -1.0, 0.5]])[:, :dimension], np.array([0.4]))
+    model, kinematics, motion = drive(name, settings, dimension)
+    mean, covariance = some_belief(dimension + kinematics.extra)
     moved = model.predict(sample(mean, covariance)[None].astype(np.float32), motion,
                           np.random.default_rng(2))[0]
     after, spread = kinematics.predict(mean[None], covariance[None], motion)
@@ -47,14 +56,10 @@ def test_a_belief_moves_as_its_particles_do(
 @pytest.mark.parametrize(('name', 'settings'), MODELS)
 def test_the_way_of_a_belief_is_that_of_its_particles(
         name: str, settings: dict[str, object], dimension: int) -> None:
-    model = motion_model(MotionConfig(motion_model=name, **settings),  # type: ignore[arg-type]
-                         dimension, True)
-    kinematics = kinematics_of(model, dimension)
-    size = dimension + kinematics.extra
+    model, kinematics, motion = drive(name, settings, dimension)
     # Positions that are known worse than velocities, and go with them.
-    mean, covariance = np.arange(size) * 1.0, np.eye(size) + 0.2
+    mean, covariance = some_belief(dimension + kinematics.extra)
     covariance[:dimension, :dimension] *= 9.0
-    motion = Motion(1.5, np.array([[3.0, -1.0, 0.5]])[:, :dimension], np.array([0.4]))
     before = sample(mean, covariance).astype(np.float32)
     way = (model.predict(before[None], motion, np.random.default_rng(2))[0] - before)[
         :, :dimension]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import json
 from pathlib import Path
 from typing import Any
@@ -94,18 +95,6 @@ def test_what_was_learnt_of_ranges_is_of_no_use_where_other_parameters_hold(
     assert calibration.scale == settings.get('range_scale', 1.0)
 
 
-@pytest.mark.parametrize(('change', 'reason'), [
-    (('"mean": [1.0', '"mean": [-1.0'), 'must have a scale above 0'),
-    (('"configured": [1.0, 0.0], "mean"', '"configured": [1.0, 0.0], "none"'), "'mean'")])
-def test_what_is_wrong_of_ranges_is_told(tmp_path: Path, change: tuple[str, str], reason: str
-                                         ) -> None:
-    path, complaints = tmp_path / 'last.json', list[str]()
-    memory(path, wise(), []).save()
-    path.write_text(path.read_text().replace(*change))
-    assert memory(path, Localizer({}, 2), complaints).recall() == 0
-    assert reason in complaints[0]
-
-
 RSSI: dict[str, Any] = {
     'radio_model': 'lognormal', 'measure_rssi': True, 'sensitivity': -120.0, 'sigma_db': 4.0,
     'path_loss_exponent': 2.5, 'odom_heading': 'known'}
@@ -139,15 +128,19 @@ def test_what_was_learnt_of_rssi_is_of_no_use_where_other_parameters_hold(
         begun(path, **{**LEARNS, **settings}).channel.powers.mean, [0, 0])
 
 
-@pytest.mark.parametrize(('change', 'reason'), [
-    (('"sigma": ', '"sigma": -'), 'must be what rssi can tell'),
-    (('"samples"', '"none"'), "KeyError: 'samples'")])
-def test_what_is_wrong_of_rssi_is_told(tmp_path: Path, change: tuple[str, str], reason: str
-                                       ) -> None:
+@pytest.mark.parametrize(('learn', 'settings', 'change', 'reason'), [
+    (wise, {}, ('"mean": [1.0', '"mean": [-1.0'), 'must have a scale above 0'),
+    (wise, {}, ('"configured": [1.0, 0.0], "mean"', '"configured": [1.0, 0.0], "none"'),
+     "'mean'"),
+    (wiser, LEARNS, ('"sigma": ', '"sigma": -'), 'must be what rssi can tell'),
+    (wiser, LEARNS, ('"samples"', '"none"'), "KeyError: 'samples'")])
+def test_what_is_wrong_of_what_was_learnt_is_told(
+        tmp_path: Path, learn: Callable[[], Localizer], settings: dict[str, Any],
+        change: tuple[str, str], reason: str) -> None:
     path, complaints = tmp_path / 'last.json', list[str]()
-    memory(path, wiser(), []).save()
+    memory(path, learn(), []).save()
     path.write_text(path.read_text().replace(*change))
-    assert memory(path, Localizer(LEARNS, 2), complaints).recall() == 0
+    assert memory(path, Localizer(settings, 2), complaints).recall() == 0
     assert reason in complaints[0]
 
 

@@ -131,7 +131,7 @@ class RMcl(RedrawingFilter):
                 break
             parent, states, likelihood = self._candidates(evidence, kernel, region, mass, vehicle)
             self.draws[vehicle] += parent.shape[1]
-            fits = likelihood.max(axis=1) > -self.config.exclusion - 0.7 * evidence.terms[vehicle]
+            fits = ~self.config.excludes(likelihood.max(axis=1), evidence.terms[vehicle])
             vehicle, parent = vehicle[fits], parent[fits]
             posterior, total = normalize(likelihood[fits])
             explained[vehicle] = total - np.log(parent.shape[1])

@@ -67,7 +67,8 @@ class TsMcl(ParticleFilter):
         log_likelihood = evidence.log_likelihood(self.cloud.particles)
         # A search finds the nearest edge of a region in all of which who is merely heard may be.
         vague = ~self.channel.measured(observation).any(axis=1)
-        surprised = vague & self.cloud.hopeless(evidence, log_likelihood)
+        surprised = self.cloud.placed & vague & self.config.excludes(
+            log_likelihood.max(axis=1), evidence.terms)
         if surprised.any():
             self.cloud.place_again(surprised, evidence, self.search, nearby=True)
             log_likelihood = evidence.log_likelihood(self.cloud.particles)

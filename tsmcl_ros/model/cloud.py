@@ -47,6 +47,10 @@ class RecoveryConfig(Config):
         5, 'epochs in a row in which a belief, at its best particle if it has any, takes most '
         'measurements for outliers, before the vehicle is placed anew', low=1, live=True)
 
+    def excludes(self, best: Array, terms: Array) -> Array:
+        """Return what (V,) bool evidence of so many terms excludes, at best so likely in log."""
+        return np.asarray(best < -self.exclusion - 0.7 * terms)
+
 
 @dataclass(frozen=True)
 class CloudConfig(RecoveryConfig):
@@ -157,13 +161,8 @@ class Cloud:
         # One outlier is no news of the vehicle; a row of epochs that are nothing but outliers is.
         self._doubts = np.where(best < evidence.floor / 2, self._doubts + 1,
                                 np.where(evidence.heard, 0, self._doubts))
-        return np.asarray(self.hopeless(evidence, log_likelihood) | (
-            self.placed & (self._doubts >= self.config.patience)))
-
-    def hopeless(self, evidence: Evidence, log_likelihood: Array) -> Array:
-        """Return the vehicles (V,) bool of which it excludes at once even the best particle."""
-        best = log_likelihood.max(axis=1)
-        return np.asarray(self.placed & (best < -self.config.exclusion - 0.7 * evidence.terms))
+        hopeless = self.config.excludes(best, evidence.terms)
+        return np.asarray(self.placed & (hopeless | (self._doubts >= self.config.patience)))
 
     def recover(self, evidence: Evidence, log_likelihood: Array, repair: Repair | None = None,
                 spared: Array | None = None) -> Array:

@@ -221,7 +221,7 @@ class GaussianFilter:
         beliefs, config = self.beliefs, self._recovery
         self._doubts = np.where(beliefs.doubtful, self._doubts + 1,
                                 np.where(known, 0, self._doubts))
-        hopeless = beliefs.fit < -config.exclusion - 0.7 * beliefs.terms
+        hopeless = config.excludes(beliefs.fit, beliefs.terms)
         return np.asarray(known & (hopeless | (self._doubts >= config.patience)))
 
     def _locate(self, vehicle: Array, observation: Observation) -> None:
